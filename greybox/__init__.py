@@ -10,7 +10,9 @@ Everything else is in a namespace: ``gb.signals`` (test signals), ``gb.effects``
 
 from __future__ import annotations
 
+import os
 import sys
+import warnings
 from importlib import import_module
 from importlib.machinery import ModuleSpec
 from types import ModuleType
@@ -205,3 +207,26 @@ class _Namespaces:
 
 
 sys.meta_path.insert(0, _Namespaces())
+
+
+def _warn_of_namesake() -> None:
+    """Tell of the distribution called ``greybox`` (a forecasting toolbox), which has the import name of this one, greybox-sysid.
+
+    From the names of folders alone: reading metadata takes longer than all of this import.
+    """
+    for folder in sys.path:
+        try:
+            entries = os.listdir(folder or ".")
+        except OSError:  # an archive, not there, or not ours to read
+            continue
+        for entry in entries:
+            if entry.startswith(("greybox-", "Greybox-")) and entry.endswith((".dist-info", ".egg-info")):
+                warnings.warn(
+                    f"another package has the import name of greybox-sysid: {entry.rpartition('.')[0]} (a forecasting toolbox) in"
+                    f" {folder}; the two overwrite each other's files, so keep them in separate environments: pip uninstall greybox,"
+                    " then pip install --force-reinstall greybox-sysid",
+                    stacklevel=3,
+                )
+
+
+_warn_of_namesake()

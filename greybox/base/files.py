@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import filecmp
+import itertools
 import json
 import os
 import secrets
 import stat
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -120,6 +122,23 @@ def write_file(
             with contextlib.suppress(OSError):
                 part.unlink()
     return target
+
+
+# Names that Windows keeps for devices, whatever their ending; a folder may be copied there.
+DEVICE_NAMES = frozenset({"con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(10))})
+
+
+def find_free_path(path: Path, like: Path | None = None, taken: Collection[Path] = ()) -> Path:
+    """``path``, or ``name-2``, ``name-3`` beside it: the first that is not there, not ``taken``, or holds already what ``like`` holds."""
+    stem = f"{path.stem}_" if path.stem.partition(".")[0].strip().lower() in DEVICE_NAMES else path.stem
+    for count in itertools.count(1):
+        target = path.with_name(f"{stem}{f'-{count}' if count > 1 else ''}{path.suffix}")
+        # A link that leads nowhere is there, too: whoever writes to it writes somewhere else.
+        is_there = os.path.lexists(target)
+        is_same = like is not None and target.is_file() and filecmp.cmp(target, like, shallow=False)
+        if target not in taken and (not is_there or is_same):
+            return target
+    raise AssertionError("there is no end of numbers")
 
 
 def append_line(path: str | os.PathLike[str], line: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import unicodedata
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 
 # Control and format characters (escapes of a terminal, marks that turn the direction of writing: a reviewer would see another order than
 # the compiler, letters without width), separators of lines and paragraphs, and halves of characters, which no file in UTF-8 can hold.
@@ -75,11 +75,13 @@ def to_identifier(name: str) -> str:
     return text if text and not text[0].isdigit() else f"_{text}"
 
 
-def to_identifiers(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
-    """Each of ``names`` as an identifier that is none of the others and not ``taken``."""
+def to_identifiers(
+    names: Iterable[str], taken: Collection[str] = (), spell: Callable[[str], str] = to_identifier
+) -> list[str]:
+    """Each of ``names`` as an identifier that is none of the others and not ``taken``; ``spell`` writes one."""
     result: list[str] = []
     for name in names:
-        plain = unique = to_identifier(name)
+        plain = unique = spell(name)
         number = 1
         while unique in result or unique in taken:
             number += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from click.testing import CliRunner
 
 import greybox as gb
 from greybox.shell.commands import app
+from greybox.shell.plants import PlantKind
 from tests.base.parallel.test_jobs import lag
 from tests.oracles.independent import linear_record
 from tests.shell.project.test_outline import TRAP
@@ -99,6 +101,58 @@ def test_a_study_alone_runs_no_model_file(trap: Path, command: str, model: str):
     assert done.exit_code == 2
     assert "--model" in done.stderr
     assert not (trap.parent / "ran").exists()
+
+
+@pytest.mark.parametrize("command", ["fit", "check", "compare"])
+@pytest.mark.parametrize("plant", ["plant.fmu", "PLANT.FMU", "sub/plant.fmu"])
+def test_a_study_alone_runs_no_plant_that_brings_code(trap: Path, command: str, plant: str):
+    text = f'model = "{plant}"\n[records]\nestimation = ["a.csv"]\n'
+    Path("study.toml").write_text(text + 'validation = ["a.csv"]\n' * (command == "compare"))
+    done = run(command, "study.toml")
+    assert done.exit_code == 2
+    assert "a study alone runs none" in done.stderr and f"--model {plant}" in done.stderr
+
+
+@pytest.mark.parametrize("plant", ["plant.fmu", "plant.Fmu"])
+def test_a_result_names_no_plant_that_brings_code(trap: Path, saved_fit: Path, plant: str):
+    Path("fit.json").write_text(json.dumps(json.loads(saved_fit.read_text()) | {"model": plant}))
+    done = run("export", "fit.json", "--to", "json")
+    assert done.exit_code == 2 and "give --model MODEL" in done.stderr
+
+
+def test_a_kind_of_plant_that_does_not_say_so_is_taken_to_bring_code():
+    assert PlantKind((".x",), "", (), str, lambda model, study: model).runs_code
+
+
+# Written as headers of a record: escapes, C1 controls, a line that looks like a message, and marks that turn the direction of writing.
+HEADERS = ["y\x1b]0;owned\x07 [K]", "y [\x9b2J]", '"y\nerror: no [K]"', "y\u202e [K]", "\x1b[2J"]
+
+
+@pytest.mark.parametrize("header", HEADERS)
+def test_a_look_at_a_file_prints_no_header_raw(tmp_path: Path, header: str):
+    file = tmp_path / "r.csv"
+    rows = "".join(f"{k},{k % 7},{k % 5}.5\n" for k in range(50))
+    file.write_text(f"time [s],u,{header}\n{rows}", encoding="utf-8")
+    done = run("check", str(file))
+    shown = done.stdout + done.stderr
+    assert all(line.isprintable() for line in shown.split("\n"))
+    assert not any(line.startswith("error: no") for line in shown.splitlines())
+
+
+def test_a_key_of_a_study_reaches_no_terminal_raw(tmp_path: Path):
+    (tmp_path / "study.toml").write_text('model = "lag"\n"\\u001b[2J\\nnote: fine" = 1\n')
+    done = run("fit", str(tmp_path / "study.toml"))
+    assert done.exit_code == 2 and "\x1b" not in done.stderr
+    assert not any(line.startswith("note") for line in done.stderr.splitlines())
+
+
+def test_a_proposed_column_is_quoted_for_the_shell(tmp_path: Path):
+    file = tmp_path / "r.csv"
+    rows = "".join(f"{k},{k % 7},{k % 5}.5\n" for k in range(50))
+    file.write_text(f"time [s],u,y`id`; $(touch ran)'\"\"' [K]\n{rows}", encoding="utf-8")
+    line = next(line for line in run("check", str(file)).stdout.splitlines() if "--column" in line)
+    words = shlex.split(line.partition(": ")[2])
+    assert words[::2] == ["--column"] * (len(words) // 2) and any("$(touch ran)" in word for word in words)
 
 
 def test_a_study_runs_the_model_file_that_the_user_names(trap: Path):

@@ -33,6 +33,7 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler, stream_request_body
 
 from greybox.base import DataError, GreyboxError, write_file
+from greybox.base.files import find_free_path
 from greybox.data.file_kinds import record_suffixes
 from greybox.data.policy import READING_POLICY
 from greybox.extensions.app.jobs import JobKind
@@ -398,13 +399,9 @@ class UploadHandler(GuardedHandler):
             raise DataError(
                 f"{name or 'record'}: no kind of record; load a file that ends in {', '.join(sorted(record_suffixes()))}"
             )
-        target, count = folder / file.name, 1
-        # A file of the same name is another record.
-        while target.exists():
-            count += 1
-            target = folder / f"{file.stem}-{count}{file.suffix}"
         self.received.seek(0)
-        return write_file(target, partial(shutil.copyfileobj, self.received), private=True)
+        # A file of the same name is another record.
+        return write_file(find_free_path(folder / file.name), partial(shutil.copyfileobj, self.received), private=True)
 
 
 async def serve(workbench: Workbench, port: int, ready: Callable[[str], None]) -> None:

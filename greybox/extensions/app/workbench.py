@@ -19,6 +19,7 @@ import numpy as np
 from greybox.base import DataError, GreyboxError, ModelError, format_unit, nearest, write_file
 from greybox.base.document import FigureBlock
 from greybox.base.figure import Figure
+from greybox.base.files import find_free_path
 from greybox.data.columns import ColumnChoice, merge_mappings
 from greybox.data.experiment import Experiment
 from greybox.discovery.localisation import ResidualLocalisation
@@ -225,6 +226,8 @@ class Workbench:
         # Requests come one by one, but a job tells its news in a thread of its own.
         self._lock = threading.RLock()
         self._exported_session = session
+        # Where uploaded records are copied to.
+        self._copies = dict[Path, Path]()
         self._shown = 0
         self._places: tuple[Statement, tuple[EffectPlace, ...]] | None = None
 
@@ -404,15 +407,20 @@ class Workbench:
 
     def _exported(self, file: Path) -> Path:
         # Files of the person stay where they are.
-        is_uploaded = self.uploads is not None and self.uploads in file.parents
-        return self.folder / RECORDS_FOLDER / file.name if is_uploaded else file
+        if self.uploads is None or self.uploads not in file.parents:
+            return file
+        if file not in self._copies:
+            # A record of another session may have this name: a study that names it must find it on another day.
+            wanted = self.folder / RECORDS_FOLDER / file.name
+            self._copies[file] = find_free_path(wanted, file, self._copies.values())
+        return self._copies[file]
 
     def _copy_records(self) -> list[Path]:
         """Copy uploaded records into the folder of the export."""
         copies = []
         for source in dict.fromkeys(r.file for r in self.session.records):
             target = self._exported(source)
-            if target != source:
+            if target != source and not target.exists():
                 with source.open("rb") as uploaded:
                     copies.append(write_file(target, partial(shutil.copyfileobj, uploaded)))
         return copies

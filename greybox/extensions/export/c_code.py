@@ -238,9 +238,13 @@ def _struct(name: str, signals: Sequence[State | Input | Output], extra: Sequenc
 
 
 def _members(signals: Sequence[State | Input | Output], extra: Sequence[tuple[str, str]] = ()) -> list[str]:
-    names = map(to_identifier, [*(s.name for s in signals), *(name for name, _ in extra)])
-    # An underscore at the end is no word of the language, of a library or of a system.
-    return to_identifiers(f"{n}_" if n in RESERVED or MACRO.fullmatch(n) else n for n in names)
+    return to_identifiers([*(s.name for s in signals), *(name for name, _ in extra)], spell=_to_member)
+
+
+def _to_member(name: str) -> str:
+    plain = to_identifier(name)
+    # An underscore at the end is in no word of the language, of a library or of a system.
+    return f"{plain}_" if plain in RESERVED or MACRO.fullmatch(plain) else plain
 
 
 def _past_members(interval: DiscreteStep) -> list[tuple[str, str]]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 
-from greybox.base import GreyboxError, ModelError, nearest, to_identifier, to_identifiers, write_file
+from greybox.base import GreyboxError, ModelError, nearest, to_identifiers, write_file
 from greybox.estimation.linear.exported_model import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export import discrete_step
@@ -213,7 +214,7 @@ def _write_equations(plant: ExportedModel, dt: float | None, free: Sequence[str]
             after = ca.vertcat(after, u[step.late_input], past[: step.past - 1])
         motion, y = ca.cse(after), step.step.outputs(x[:nx], row(0.0), values)
     return _SymbolicModel(
-        to_identifier(model.name),
+        _to_function_name(model.name),
         x,
         u,
         p,
@@ -224,6 +225,12 @@ def _write_equations(plant: ExportedModel, dt: float | None, free: Sequence[str]
         motion,
         y,
     )
+
+
+def _to_function_name(name: str) -> str:
+    """As CasADi allows them: ASCII, a letter first, no two underscores side by side, and three words of its own."""
+    plain = re.sub(r"[\W_]+", "_", name, flags=re.ASCII).strip("_")
+    return plain if plain[:1].isalpha() and plain not in ("null", "jac", "hess") else f"model_{plain}"
 
 
 TARGET = ExportTarget(

@@ -10,7 +10,7 @@ from pathlib import Path
 import casadi as ca
 
 from greybox.base import ModelError, format_unit, write_file
-from greybox.base.texts import to_comment, to_identifier, to_identifiers, to_line
+from greybox.base.texts import to_comment, to_identifiers, to_line
 from greybox.estimation.linear.exported_model import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.target import ExportTarget
@@ -29,6 +29,10 @@ RESERVED = frozenset(
         parameter partial protected public pure record redeclare replaceable return stream then true type when
         while within time pre reinit delay edge change sample noEvent smooth abs sign sqrt min max exp log sin
         cos tan asin acos atan atan2 sinh cosh tanh floor ceil Real Integer Boolean String
+        AssertionLevel Clock ExternalObject StateSelect Subtask actualStream array backSample cardinality cat cross
+        diagonal div fill firstTick hold homotopy identity inStream initial integer interval linspace log10 matrix mod
+        ndims noClock ones outerProduct previous product promote rem rooted scalar semiLinear shiftSample size skew
+        spatialDistribution subSample sum superSample symmetric terminal transpose vector zeros getInstanceName break
         """,
     )
 )
@@ -93,7 +97,7 @@ def modelica_text(plant: ExportedModel) -> str:
             # Several delays of one input add up.
             late = printer.write(sum(seconds[1:], seconds[0]))
             equations.append(f"  {name} = delay({names.inputs[k]}, {late});")
-    head = to_identifier(model.title)
+    (head,) = to_identifiers([model.title], RESERVED)
     sticking = [names.states[k] for k in sorted({d.state for d in s.dry})]
     parts = [f"  {part} = {text};" for part, text in printer.shared]
     lines = [

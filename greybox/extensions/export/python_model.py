@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
+from keyword import iskeyword, kwlist
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 
-from greybox.base import GreyboxError, to_identifier, write_file
+from greybox.base import GreyboxError, to_identifiers, write_file
 from greybox.estimation.linear.exported_model import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.observer import Observer, write_observer_class
@@ -23,6 +24,8 @@ from greybox.model.signals import NamedValues, State, names_by_role
 from greybox.model.system import BoundEffect, named_symbols
 
 PUBLIC = ("Balance", "DryFriction", "Effect", "Input", "Model", "Output", "Parameter", "State", "effect")
+# What else a text may import or define.
+OTHER_NAMES = ("math", "ca", "np", "gb", "Rule", "balances")
 HOOKS = (
     "terms",
     "dry",
@@ -75,7 +78,8 @@ def to_python(plant: Fit | Model | Observer, path: str | Path) -> Path:
 
 def python_text(plant: ExportedModel) -> str:
     """The text of the file."""
-    model, name = plant.model, to_identifier(plant.model.name)
+    # The model is a variable beside what the text imports.
+    model, (name,) = plant.model, to_identifiers([plant.model.name], [*kwlist, *PUBLIC, *OTHER_NAMES])
     # The body first: what is imported follows from what it names.
     printer = Printer(PYTHON, _plant_names(model))
     balances = model.balances(*_plant_symbols(model))
@@ -116,7 +120,11 @@ def _plant_symbols(model: Model) -> tuple[NamedValues, NamedValues, NamedValues]
 def _plant_names(model: Model) -> dict[str, str]:
     """What the plant's symbols are called in a function of ``x``, ``u`` and ``p``."""
     groups = (("x", model.states), ("u", model.inputs), ("p", model.parameters))
-    return {s.name: f"{letter}.{s.name}" for letter, group in groups for s in group}
+    return {s.name: _read(letter, s.name) for letter, group in groups for s in group}
+
+
+def _read(letter: str, name: str) -> str:
+    return f"{letter}.{name}" if name.isidentifier() and not iskeyword(name) else f"{letter}[{literal(name)}]"
 
 
 def _model(plant: ExportedModel) -> str:
@@ -247,7 +255,7 @@ def _effect(bound: BoundEffect, model: Model) -> str:
     for letter, group in (("x", model.all_states), ("u", model.inputs), ("p", model.stated_parameters)):
         for s in group:
             name = effect_names.get(s.name, s.name)
-            names[s.name] = f"{letter}.{name}" if name.isidentifier() else f"{letter}[{literal(name)}]"
+            names[s.name] = _read(letter, name)
     printer = Printer(PYTHON, names)
     value = ca.SX.sym(TRANSFORMED)
     parameters = [

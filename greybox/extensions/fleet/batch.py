@@ -94,6 +94,8 @@ def _fit_items(work: _Work, items: Sequence[Item]) -> list[RecordEstimate]:
 class FleetJournal:
     """Records that are done, in a file, one JSON object a line with those of one job, by a hash of all that decides the result.
 
+    What begins in this process is there before: a record that ends the process is known to the next run.
+
     Raises
     ------
     DataError
@@ -102,10 +104,19 @@ class FleetJournal:
 
     path: Path
     known: dict[str, RecordEstimate] = field(init=False)
+    begun: frozenset[str] = field(init=False)
+    """Begun in the process of an earlier run, and not done."""
 
     def __post_init__(self) -> None:
         entries = read_journal(self.path, _parse_entry).entries
-        self.known = {key: estimate for entry in entries for key, estimate in entry.items()}
+        self.known = {key: estimate for _, entry in entries for key, estimate in entry.items()}
+        # One job at a time runs in a process: what the last line says.
+        begun = next((keys for keys, _ in reversed(entries) if keys is not None), frozenset())
+        self.begun = begun - frozenset(self.known)
+
+    def begin(self, keys: Sequence[str]) -> None:
+        """Say what begins, on the disk when this returns; nothing where what had begun has been ended. Raises OutputError."""
+        add_entry(self.path, {"begun": list(keys)})
 
     def add(self, keys: Sequence[str], estimates: Sequence[RecordEstimate]) -> None:
         """Keep some more, on the disk when this returns. Raises OutputError."""
@@ -113,8 +124,11 @@ class FleetJournal:
         add_entry(self.path, {"estimates": to_json_data(dict(zip(keys, estimates, strict=True)))})
 
 
-def _parse_entry(data: Mapping[str, Any]) -> dict[str, RecordEstimate]:
-    return {str(key): from_json_data(RecordEstimate, each) for key, each in data["estimates"].items()}
+def _parse_entry(data: Mapping[str, Any]) -> tuple[frozenset[str] | None, dict[str, RecordEstimate]]:
+    """What begins, or what is done."""
+    if "begun" in data:
+        return frozenset(map(str, data["begun"])), {}
+    return None, {str(key): from_json_data(RecordEstimate, each) for key, each in data["estimates"].items()}
 
 
 # Records that are fitted here before the others are shared out: they tell where the others begin and how long one takes, and compile what
@@ -191,8 +205,10 @@ def fit_each(
     if not items:
         raise DataError("no records to fit; give a folder with records, or at least one experiment")
     run = _FleetRun(_Work(model, model, collection, noise, colour, options), items, journal, report)
+    # What an earlier run was at when its process ended may have ended it: never in this process again.
+    is_interrupted = run.do_apart(run.suspects, executor, 1)
     pilots = range(min(PILOTS, len(items)))
-    is_interrupted = run.do([k for k in pilots if run.results[k] is None], None, 1, 1)
+    is_interrupted = is_interrupted or run.do([k for k in pilots if run.results[k] is None], None, 1, 1)
     if not is_interrupted and run.open:
         known = [r for k in pilots if (r := run.results[k]) is not None and r.is_usable]
         run.begin_at(known)
@@ -204,12 +220,10 @@ def fit_each(
         size = max(1, math.ceil(min(JOB_SECONDS / max(usual, TINY_SECONDS), MOST_IN_JOB, len(run.open) / shares)))
         is_interrupted = run.do(run.open, executor, workers, size)
         if not is_interrupted and run.open and size > 1:
-            # Jobs that failed as a whole: their records one by one, so that one of them does not take the others along; never in this
-            # process, which it might take along too.
-            with open_local_pool(workers or count_cores()) if executor is None else nullcontext(executor) as pool:
-                is_interrupted = run.do(run.open, pool, workers, 1)
-    for k in run.open if not is_interrupted else ():
-        run.results[k] = _refused(items[k].name, RecordStatus.NOT_FITTED, run.errors.get(k, ""))
+            # Jobs that failed as a whole: their records one by one, so that one of them does not take the others along.
+            is_interrupted = run.do_apart(run.open, executor, workers or count_cores())
+    if not is_interrupted:
+        run.give_up(run.open)
     done = tuple(r for r in run.results if r is not None)
     given = dict(noise) if isinstance(noise, Mapping) else {}
     left = len(items) - len(done)
@@ -254,10 +268,44 @@ class _FleetRun:
         """Numbers of the records without a result."""
         return [k for k, result in enumerate(self.results) if result is None]
 
+    @property
+    def suspects(self) -> list[int]:
+        """Numbers of the open records that an earlier run had begun."""
+        return [k for k in self.open if self.journal and self.keys[k] in self.journal.begun]
+
+    def give_up(self, numbers: Iterable[int]) -> None:
+        """The reason in place of constants for those of these records that are open, kept like a result."""
+        for k in numbers:
+            if self.results[k] is None:
+                refused = _refused(self.items[k].name, RecordStatus.NOT_FITTED, self.errors.get(k, ""))
+                self.results[k] = refused
+                if self.journal:
+                    self.journal.add([self.keys[k]], [refused])
+
+    def do_apart(self, numbers: Sequence[int], executor: Executor | None, workers: int) -> bool:
+        """Fit these records one by one, never in this process, which one might take along; whether Ctrl-C ended it."""
+        if not numbers:
+            return False
+        with open_local_pool(workers) if executor is None else nullcontext(executor) as pool:
+            is_interrupted = self.do(numbers, pool, workers, 1)
+        if not is_interrupted:
+            self.give_up(numbers)
+        return is_interrupted
+
     def do(self, numbers: Sequence[int], executor: Executor | None, workers: int, size: int) -> bool:
         """Fit these records in jobs of ``size``; whether Ctrl-C ended it."""
         jobs = [numbers[first : first + size] for first in range(0, len(numbers), size)]
-        is_cut = False
+        # As `run_jobs` decides it.
+        workers = min(workers or count_cores(), max(len(jobs), 1))
+        is_cut, is_here = False, executor is None and workers == 1
+
+        def work_on(work: _Work, job: Sequence[int]) -> list[RecordEstimate]:
+            if self.journal:
+                self.journal.begin([self.keys[k] for k in job])
+            done = _fit_items(work, [self.items[k] for k in job])
+            if self.journal and len(done) < len(job):  # Ctrl-C, which no record is to blame for
+                self.journal.begin([])
+            return done
 
         def receive(number: int, result: JobResult) -> None:
             nonlocal is_cut
@@ -277,9 +325,9 @@ class _FleetRun:
 
         try:
             _, is_interrupted = run_jobs(
-                _fit_items,
+                work_on if is_here else _fit_items,
                 self.work,
-                [[self.items[k] for k in job] for job in jobs],
+                jobs if is_here else [[self.items[k] for k in job] for job in jobs],
                 executor=executor,
                 workers=workers,
                 receive=receive,

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from greybox.base import FileKind, Finding, GreyboxError, Printable, Severity, read_json, write_file, write_json
+from greybox.base.texts import to_cell
 from greybox.estimation import Estimate, Fit, Misfit
 from greybox.model import Model
 
@@ -336,8 +337,8 @@ class FleetResult(Printable):
             return write_file(path, lambda file: pq.write_table(pa.table(dict(columns)), file))
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
+        rows = zip(*columns.values(), strict=True)
+        writer.writerows([to_cell(v) if isinstance(v, str) else v for v in row] for row in (columns, *rows))
         return write_file(path, text.getvalue())
 
     def save(self, path: str | Path) -> Path:

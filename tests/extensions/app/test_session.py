@@ -284,3 +284,25 @@ def test_a_discovery_is_repeated_from_the_model_that_it_began_with(bench: Workbe
     assert not [line for line in lines if line.startswith("plain") and "coulomb" in line]
     assert [line for line in lines if line.startswith("discovery = gb.discover(plain, records, validation=validation")]
     assert bench.session.with_fit(fit).discovery is found
+
+
+@pytest.mark.parametrize("name", ["train.csv", "a b.csv", "nul.csv", "train-2.csv"])
+def test_an_export_replaces_no_record_of_another_session(
+    rig: Path, tmp_path: Path, bench: Workbench, name: str
+) -> None:
+    uploads, before = tmp_path / "uploads", tmp_path / "out" / "records"
+    uploads.mkdir()
+    (uploads / name).write_bytes((rig / "test.csv").read_bytes())
+    bench.export()
+    kept = {file.name: file.read_bytes() for file in before.iterdir()}
+    (before / name).write_bytes(kept["train.csv"])  # in every case there is another record of this name
+    kept = {file.name: file.read_bytes() for file in before.iterdir()}
+    other = Workbench(bench.session, bench.study, tmp_path / "out", uploads=uploads.resolve(), workers=1)
+    other.load(uploads / name)
+    other.export()
+    study = tomllib.loads((tmp_path / "out" / "study.toml").read_text())
+    assert {file: (before / file).read_bytes() for file in kept} == kept
+    copy = tmp_path / "out" / study["records"]["estimation"][-1]
+    assert copy.name != name and copy.read_bytes() == (uploads / name).read_bytes()
+    other.export()  # once more: no further copy
+    assert len(list(before.iterdir())) == len(kept) + 1

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -132,7 +133,17 @@ def compiled(folder, model, optimise, **options):
     """The exported step as a library, with its state, inputs and outputs as arrays of doubles (the structs hold nothing else)."""
     source, _ = gb.export.to_c(model, folder / "plant.c", **options)
     library = folder / "plant.so"
-    command = [*find_compiler().command, "-std=c99", optimise, "-Wall", "-pedantic", "-Werror", "-shared", "-fPIC"]
+    command = [
+        *find_compiler().command,
+        "-std=c99",
+        optimise,
+        "-Wall",
+        "-Wextra",
+        "-pedantic",
+        "-Werror",
+        "-shared",
+        "-fPIC",
+    ]
     subprocess.run([*command, "-o", str(library), str(source), "-lm"], check=True)
     return ctypes.CDLL(str(library))
 
@@ -214,6 +225,63 @@ def test_the_header_says_that_the_input_of_a_record_did_not_wait_between_its_row
     assert f"{name} says what the input did between the rows" in text
     _, header = gb.export.to_c(micro_actuator, tmp_path / "plain.c", dt=1e-4)
     assert "between the rows" not in header.read_text()
+
+
+# Words of C and C++, macros of headers and systems, and names in the text itself.
+TAKEN_NAMES = [
+    "class",
+    "this",
+    "double",
+    "errno",
+    "stdin",
+    "EOF",
+    "I",
+    "M_PI",
+    "NQ",
+    "SUBSTEPS",
+    "unix",
+    "none",
+    "sensors",
+]
+
+
+@pytest.mark.parametrize("name", TAKEN_NAMES)
+@pytest.mark.parametrize("kind", ["signal", "model"])
+def test_no_name_of_a_model_is_one_of_c(tmp_path, name, kind):
+    signal, title = (name, "lag") if kind == "signal" else ("y", name)
+    model = gb.Model(
+        title,
+        states=[gb.State(signal, "V")],
+        inputs=[gb.Input("u", "V")],
+        outputs=[gb.Output(signal, "V")],
+        parameters=[gb.Parameter("tau", "s", 0.5, (1e-3, 1e3))],
+        balances=lambda x, u, p: [gb.Balance("lag", "V", p.tau, signal, drive=u.u, decay=-x[signal])],
+    )
+    source, _ = gb.export.to_c(model, tmp_path / "plant.c", dt=0.1)
+    headers = ["errno", "stdio", "stdlib", "complex", "signal", "limits", "stdbool", "iso646", "unistd"]
+    beside = "".join(f"#include <{header}.h>\n" for header in headers)
+    (tmp_path / "all.c").write_text(beside + '#include "plant.c"\n')
+    for standard in ("-std=c99", "-std=gnu11"):
+        command = [*find_compiler().command, standard, "-O2", "-Wall", "-Wextra", "-pedantic", "-Werror", "-c"]
+        for file in (source, tmp_path / "all.c"):
+            subprocess.run([*command, str(file), "-o", str(tmp_path / "plant.o")], check=True, cwd=tmp_path)
+    if shutil.which("g++"):
+        command = [
+            "g++",
+            "-Wall",
+            "-Wextra",
+            "-pedantic",
+            "-Werror",
+            "-c",
+            str(source),
+            "-o",
+            str(tmp_path / "plant.o"),
+        ]
+        subprocess.run(command, check=True)
+    # The other languages, too.
+    gb.export.to_python(model, tmp_path / "plant.py")
+    compile((tmp_path / "plant.py").read_text(), "plant.py", "exec")
+    gb.export.to_casadi(model)
 
 
 def test_c_without_a_sampling_time_is_refused(tmp_path):
@@ -301,11 +369,13 @@ def test_the_fmu_carries_its_sources_and_units(tmp_path, fmu):
     assert not any(n.startswith("binaries/") for n in zipfile.ZipFile(again).namelist())
 
 
-def test_the_state_of_an_fmu_can_be_kept_and_taken_up_again(tmp_path, fmu):
+@contextmanager
+def opened(path):
+    """An instance of an FMU after its initialisation."""
     from fmpy.fmi2 import FMU2Slave
 
-    described = fmpy.read_model_description(str(fmu))
-    folder = fmpy.extract(str(fmu), str(tmp_path / "unzipped"))
+    described = fmpy.read_model_description(str(path))
+    folder = fmpy.extract(str(path))
     slave = FMU2Slave(
         guid=described.guid,
         unzipDirectory=folder,
@@ -316,17 +386,37 @@ def test_the_state_of_an_fmu_can_be_kept_and_taken_up_again(tmp_path, fmu):
     slave.setupExperiment(startTime=0.0)
     slave.enterInitializationMode()
     slave.exitInitializationMode()
-    slave.setReal([0], [1.0])
-    slave.doStep(0.0, 2.5e-4)
-    kept = slave.getFMUState()
-    slave.doStep(2.5e-4, 2.5e-4)
-    once = slave.getReal([1])
-    slave.setFMUState(kept)
-    slave.doStep(2.5e-4, 2.5e-4)
-    assert slave.getReal([1]) == once
-    slave.freeFMUState(kept)
+    yield slave
     slave.terminate()
     slave.freeInstance()
+    shutil.rmtree(folder)
+
+
+def test_the_state_of_an_fmu_can_be_kept_and_taken_up_again(fmu):
+    with opened(fmu) as slave:
+        slave.setReal([0], [1.0])
+        slave.doStep(0.0, 2.5e-4)
+        kept = slave.getFMUState()
+        slave.doStep(2.5e-4, 2.5e-4)
+        once = slave.getReal([1])
+        slave.setFMUState(kept)
+        slave.doStep(2.5e-4, 2.5e-4)
+        assert slave.getReal([1]) == once
+        slave.freeFMUState(kept)
+
+
+@pytest.mark.parametrize("reference", [2**31, 2**32 - 1, 2**32 - 5, 1000])
+def test_the_fmu_refuses_references_beyond_its_variables(fmu, reference):
+    with opened(fmu) as instance:
+        for call in (lambda: instance.getReal([reference]), lambda: instance.setReal([reference], [1.0])):
+            with pytest.raises(fmpy.fmi1.FMICallException):
+                call()
+
+
+@pytest.mark.parametrize("length", [1e9, 1e300, float("nan"), float("inf"), -1.0])
+def test_the_fmu_refuses_a_step_that_it_cannot_take(fmu, length):
+    with opened(fmu) as instance, pytest.raises(fmpy.fmi1.FMICallException):
+        instance.doStep(0.0, length)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a compiler that is a shell script")

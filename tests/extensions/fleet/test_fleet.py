@@ -314,3 +314,46 @@ def test_the_command_writes_table_summary_and_page(tmp_path: Path, monkeypatch: 
     assert data["fitted"] == 6 and list(data["without_result"]) == ["6"] and set(data["population"]) == {"gain"}
     done = CliRunner().invoke(app, ["fleet", "lag.py", "bench/6.csv"])
     assert done.exit_code == 2 and "none of 1 records has a result; 6: " in done.output
+
+
+class ProcessEnds(BaseException):
+    """What nothing catches, as a process that is killed leaves nothing behind."""
+
+
+@pytest.mark.parametrize("place", [0, 3, 6], ids=["the first", "among the first five", "in a small fleet"])
+def test_a_record_that_ended_the_process_is_tried_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: int
+) -> None:
+    folder, journal = tmp_path / "bench", tmp_path / "fleet.jsonl"
+    folder.mkdir()
+    for k in range(7):
+        write_record(folder / f"{k}.csv", k)
+    fit, here = batch.fit, list[str]()
+
+    def end(model, experiment, **options):
+        if experiment.name == str(place):
+            raise ProcessEnds
+        return fit(model, experiment, **options)
+
+    monkeypatch.setattr(batch, "fit", end)
+    with pytest.raises(ProcessEnds):
+        gb.fit_each(MODEL, folder, noise={"y": NOISE}, workers=1, journal=journal)
+    monkeypatch.setattr(
+        batch, "fit", lambda model, experiment, **o: here.append(experiment.name) or fit(model, experiment, **o)
+    )
+    done = gb.fit_each(MODEL, folder, noise={"y": NOISE}, workers=1, journal=journal)
+    assert str(place) not in here and len(here) == 6 - place if place < 6 else not here
+    assert [r.name for r in done.records] == list("0123456") and all(r.success for r in done.records)
+
+
+def test_names_of_records_are_no_formulas_in_the_table(tmp_path: Path) -> None:
+    names = ["=1+1", "+cmd|' /C calc'!A0", "@SUM(1)", "-2", "\t=1", "a\rb", "\uff1d1", "\u200b=1", "plain"]
+    fleet = gb.fit_each(
+        MODEL, [replace(record(k), name=name) for k, name in enumerate(names)], noise={"y": NOISE}, workers=1
+    )
+    with open(fleet.save_table(tmp_path / "fleet.csv"), newline="", encoding="utf-8") as file:
+        _, *rows = csv.reader(file)
+    cells = [row[0] for row in rows]
+    assert len(cells) == len(names) and cells[-1] == "plain"
+    assert not [cell for cell in cells if cell.strip()[:1] in tuple("=+-@\uff1d")]
+    assert all(cell.isprintable() for row in rows for cell in row)
