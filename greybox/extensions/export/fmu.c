@@ -245,14 +245,21 @@ FMI fmi2Status fmi2GetRealStatus(fmi2Component c, int kind, fmi2Real *value)
 }
 
 /* What the description does not offer. */
-#define NOT_OFFERED(name, ...) FMI fmi2Status name(fmi2Component c, __VA_ARGS__) { return refuse(c, #name " is not offered"); }
-NOT_OFFERED(fmi2GetDirectionalDerivative, const fmi2ValueReference *a, size_t n, const fmi2ValueReference *b, size_t m, const fmi2Real *d, fmi2Real *e)
-NOT_OFFERED(fmi2SetRealInputDerivatives, const fmi2ValueReference *vr, size_t n, const fmi2Integer *order, const fmi2Real *value)
-NOT_OFFERED(fmi2GetRealOutputDerivatives, const fmi2ValueReference *vr, size_t n, const fmi2Integer *order, fmi2Real *value)
-NOT_OFFERED(fmi2GetStatus, int kind, fmi2Status *value)
-NOT_OFFERED(fmi2GetIntegerStatus, int kind, fmi2Integer *value)
-NOT_OFFERED(fmi2GetBooleanStatus, int kind, fmi2Boolean *value)
-NOT_OFFERED(fmi2GetStringStatus, int kind, fmi2String *value)
+#define NOT_OFFERED(name, arguments, spare)                                                                                 \
+    FMI fmi2Status name arguments { return spare, refuse(c, #name " is not offered"); }
+NOT_OFFERED(fmi2GetDirectionalDerivative,
+            (fmi2Component c, const fmi2ValueReference *a, size_t n, const fmi2ValueReference *b, size_t m, const fmi2Real *d, fmi2Real *e),
+            ((void)a, (void)n, (void)b, (void)m, (void)d, (void)e))
+NOT_OFFERED(fmi2SetRealInputDerivatives,
+            (fmi2Component c, const fmi2ValueReference *vr, size_t n, const fmi2Integer *order, const fmi2Real *value),
+            ((void)vr, (void)n, (void)order, (void)value))
+NOT_OFFERED(fmi2GetRealOutputDerivatives,
+            (fmi2Component c, const fmi2ValueReference *vr, size_t n, const fmi2Integer *order, fmi2Real *value),
+            ((void)vr, (void)n, (void)order, (void)value))
+NOT_OFFERED(fmi2GetStatus, (fmi2Component c, int kind, fmi2Status *value), ((void)kind, (void)value))
+NOT_OFFERED(fmi2GetIntegerStatus, (fmi2Component c, int kind, fmi2Integer *value), ((void)kind, (void)value))
+NOT_OFFERED(fmi2GetBooleanStatus, (fmi2Component c, int kind, fmi2Boolean *value), ((void)kind, (void)value))
+NOT_OFFERED(fmi2GetStringStatus, (fmi2Component c, int kind, fmi2String *value), ((void)kind, (void)value))
 FMI fmi2Status fmi2CancelStep(fmi2Component c) { return refuse(c, "fmi2CancelStep is not offered"); }
 
 /* There are no variables of these types. */
