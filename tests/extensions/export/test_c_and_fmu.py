@@ -372,17 +372,22 @@ def test_the_fmu_carries_its_sources_and_units(tmp_path, fmu):
 @contextmanager
 def opened(path):
     """An instance of an FMU after its initialisation."""
-    from fmpy.fmi2 import FMU2Slave
+    from fmpy import fmi2
 
     described = fmpy.read_model_description(str(path))
     folder = fmpy.extract(str(path))
-    slave = FMU2Slave(
+    # A logger of its own: fmpy's default one goes on to that of the last simulation, which may be gone.
+    calls = fmi2.fmi2CallbackFunctions()
+    calls.logger = fmi2.fmi2CallbackLoggerTYPE(lambda *_: None)
+    calls.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.calloc)
+    calls.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.free)
+    slave = fmi2.FMU2Slave(
         guid=described.guid,
         unzipDirectory=folder,
         modelIdentifier=described.coSimulation.modelIdentifier,
         instanceName="one",
     )
-    slave.instantiate()
+    slave.instantiate(callbacks=calls)
     slave.setupExperiment(startTime=0.0)
     slave.enterInitializationMode()
     slave.exitInitializationMode()
