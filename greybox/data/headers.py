@@ -6,10 +6,11 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import lru_cache
 
 from greybox.base import ModelError
-from greybox.base.units import KNOWN, parse_powers
-from greybox.data.notation import converts, is_notation, read_notation
+from greybox.base.units import KNOWN, LONG, SPELLINGS, parse_powers
+from greybox.data.notation import PRODUCT, WORDS, converts, is_notation, read_notation
 
 TIME = "time"  # the name of the time column
 
@@ -147,12 +148,16 @@ def read_endings(column: Column) -> tuple[Column, ...]:
     return tuple(reading for reading in readings if reading.unit)
 
 
+@lru_cache(maxsize=4096)
 def _find_everyday(text: str) -> str:
     """The text as an everyday unit; in small letters where it begins with a capital (``MS``, ``Mm``); "" where it is none."""
     plain = text.removeprefix("(").removesuffix(")") if text[:1] == "(" else text
     if len(plain) == 1 and plain.isalpha() and plain not in _EVERYDAY:
         return ""  # phi_r is a reference, not turns
     for unit in dict.fromkeys((plain.lower(), plain) if plain[:1].isupper() and len(plain) > 1 else (plain,)):
+        # Asked beforehand: the registry is slow to say no, and a file has thousands of words.
+        if not all(map(_is_everyday_word, _WORD.findall(unit))):
+            continue
         try:
             powers = parse_powers(read_notation(unit))[1]
         except ModelError:
@@ -160,6 +165,14 @@ def _find_everyday(text: str) -> str:
         if powers and _EVERYDAY.issuperset(powers):
             return unit
     return ""
+
+
+def _is_everyday_word(word: str) -> bool:
+    for special, plain in SPELLINGS.items():
+        word = word.replace(special, plain)
+    word = word.partition("^")[0]
+    tables = (_EVERYDAY, LONG, WORDS)
+    return any(word in table or word.lower() in table for table in tables) or PRODUCT.fullmatch(word) is not None
 
 
 # Names of a time beside ``time`` and ``t``; only asked about.

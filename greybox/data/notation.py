@@ -63,7 +63,7 @@ _UNCLEAR: tuple[tuple[re.Pattern[str], str], ...] = tuple(
 _ABSOLUTE = re.compile(r"(?P<unit>m?bar|[kMh]?Pa|psi)[ _]?(\(a\)|a|\(?abs\.?\)?|absolute?)")
 _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹º", "-0123456789°")
 # Nm, mNm, Nms, kgm, Ws, Pas: products without a sign.
-_PRODUCT = re.compile(r"(?P<first>[pnumkMG]?(?:N|V|A|W|Pa|J)|kg)(?P<length>mm|cm|m)?(?P<last>s|A)?")
+PRODUCT = re.compile(r"(?P<first>[pnumkMG]?(?:N|V|A|W|Pa|J)|kg)(?P<length>mm|cm|m)?(?P<last>s|A)?")
 # A symbol and its exponent: min-1, s^2, and of lengths and times m3.
 _SYMBOL = re.compile(r"(?P<word>°?[^\W\d_]+|°|%|‰)(?:\^(?P<power>-?\d)|(?P<below>-\d)|(?<=[mnshdt])(?P<digit>[2-4]))?")
 # Letters that are another unit (coulomb, farad, gram), which signals of these dimensions cannot be in.
@@ -133,7 +133,7 @@ def _spell(text: str) -> str:
 
 def _spell_symbol(match: re.Match[str]) -> str:
     word, exponent = match["word"], match["power"] or match["below"] or match["digit"]
-    product = _PRODUCT.fullmatch(word)
+    product = PRODUCT.fullmatch(word)
     if product and (product["length"] or product["last"]):
         # The exponent belongs to the last factor: kgm2 is kg m^2.
         symbol = "*".join(part for part in product.groups() if part)
