@@ -16,6 +16,7 @@ class RecordCode(StrEnum):
     OUTPUT_CONSTANT = "output_constant"
     OUTPUT_GAPS = "output_gaps"
     OUTPUT_UNWRAPPED = "output_unwrapped"
+    TURNS_UNCERTAIN = "turns_uncertain"
     SENSOR_FROZEN = "sensor_frozen"
     SENSOR_DEAD = "sensor_dead"
     SENSOR_SPIKES = "sensor_spikes"

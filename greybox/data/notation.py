@@ -6,7 +6,7 @@ import re
 from functools import lru_cache
 
 from greybox.base import ModelError, is_unit, parse_unit, unit_converter
-from greybox.base.units import LONG, Conversion, UnitError, has_zero_point, parse_powers
+from greybox.base.units import Conversion, UnitError, has_zero_point, parse_powers
 
 # Everyday words, English and German, in small letters unless their case tells them apart.
 WORDS: dict[str, str] = {
@@ -31,11 +31,33 @@ WORDS: dict[str, str] = {
     }.items()
     for word in words.split()
 }
-_PAIRS = (
-    "rpm=rpm upm=rpm psia=psi kpa=kPa hpa=hPa lpm=l/min gpm=gal/min cbm=m^3 ccm=cm^3 kp=kgf lbs=lb ps=metric_horsepower torr=torr"
-    " PS=metric_horsepower kts=knot kmh=km/h mps=m/s hz=Hz khz=kHz ohms=ohm zoll=inch promille=permille ‰=permille siemens=siemens"
+WORDS |= dict(
+    pair.split("=")
+    for pair in [
+        "rpm=rpm",
+        "upm=rpm",
+        "psia=psi",
+        "kpa=kPa",
+        "hpa=hPa",
+        "lpm=l/min",
+        "gpm=gal/min",
+        "cbm=m^3",
+        "ccm=cm^3",
+        "kp=kgf",
+        "lbs=lb",
+        "ps=metric_horsepower",
+        "PS=metric_horsepower",
+        "kts=knot",
+        "kmh=km/h",
+        "mps=m/s",
+        "hz=Hz",
+        "khz=kHz",
+        "ohms=ohm",
+        "zoll=inch",
+        "promille=permille",
+        "‰=permille",
+    ]
 )
-WORDS |= {word: unit for word, _, unit in (pair.partition("=") for pair in re.split(" ", _PAIRS))}
 # Words of readings that are in nobody's unit: each is 1.
 COUNT_WORDS = frozenset(
     re.split(
@@ -57,7 +79,6 @@ _UNCLEAR: tuple[tuple[re.Pattern[str], str], ...] = tuple(
         (r"slpm|slm|sccm|scfm|(?-i:sl|ln|Nl|NL|Nm3|Nm³)/(min|h|s)", "a flow of standard litres is one of mass"),
         (r"(?-i:grad|GRAD)(/.*)?", "it is gon (400 to a turn) to some and deg (360) to others"),
         (r"d[bB]\w*", "a logarithm is no unit; convert it to the quantity itself"),
-        (r"(?-i:c)", "a constant of nature is no unit"),
     )
 )
 _ABSOLUTE = re.compile(r"(?P<unit>m?bar|[kMh]?Pa|psi)[ _]?(\(a\)|a|\(?abs\.?\)?|absolute?)")
@@ -67,8 +88,7 @@ PRODUCT = re.compile(r"(?P<first>[pnumkMG]?(?:N|V|A|W|Pa|J)|kg)(?P<length>mm|cm|
 # A symbol and its exponent: min-1, s^2, and of lengths and times m3.
 _SYMBOL = re.compile(r"(?P<word>°?[^\W\d_]+|°|%|‰)(?:\^(?P<power>-?\d)|(?P<below>-\d)|(?<=[mnshdt])(?P<digit>[2-4]))?")
 # Letters that are another unit (coulomb, farad, gram), which signals of these dimensions cannot be in.
-_TEMPERATURE = parse_unit("K").dimensions
-_BY_DIMENSION = {_TEMPERATURE: {"C": "degC", "F": "degF"}, parse_unit("m/s^2").dimensions: {"g": "g_0"}}
+_BY_DIMENSION = {parse_unit("K").dimensions: {"C": "degC", "F": "degF"}, parse_unit("m/s^2").dimensions: {"g": "g_0"}}
 
 
 @lru_cache(maxsize=4096)
@@ -103,8 +123,6 @@ def read_notation(text: str, target: str = "") -> str:
     dimensions = parse_unit("K" if has_zero_point(target) else target).dimensions
     if plain in _BY_DIMENSION.get(dimensions, {}):
         return _BY_DIMENSION[dimensions][plain]
-    if dimensions == _TEMPERATURE and plain.lower() in ("grad", "deg", "°", "degrees"):
-        raise UnitError(f"unit {plain!r}: degrees of which scale? state degC or degF")
     for pattern, rule in _UNCLEAR:
         if pattern.fullmatch(plain):
             raise UnitError(f"unit {plain!r}: {rule}")
@@ -124,8 +142,8 @@ def _spell(text: str) -> str:
     """Words, products and exponents in the place of their notations; the text as it is where that gives no unit."""
     plain = re.sub(r"\.?\s*([/*·]|$)\s*", r"\1", text.translate(_SUPERSCRIPTS))
     plain = re.sub(r"^(?:deg|°|[Gg]rad)\s*([CFK])$", r"°\1", plain)
-    # m s-1, N.m, N-m: a blank, a point or a hyphen between symbols multiplies.
-    plain = re.sub(r"(?<=[\w%])[ .-](?=[^\W\d])", "*", plain)
+    # m s-1, N.m: a blank or a point between symbols multiplies.
+    plain = re.sub(r"(?<=[\w%])[ .](?=[^\W\d])", "*", plain)
     plain = f"1{plain}" if plain.startswith("/") else plain
     spelled = re.sub(r"^\(([^()]*)\)$", r"\1", _SYMBOL.sub(_spell_symbol, plain))
     return spelled if is_unit(spelled) else text
@@ -149,10 +167,15 @@ def _spell_word(word: str) -> str:
         return WORDS.get(word) or WORDS[small]
     if small in COUNT_WORDS:
         return COUNT
-    # K in the place of kilo; a printed header in capitals (BAR), or a German noun (Newton).
-    kilo = f"k{word[1:]}" if word[0] == "K" else word
-    plain = small if (len(word) > 2 and word.isupper()) or small in LONG else word
-    return next((other for other in (word, kilo, plain) if is_unit(other)), word)
+    # Capitals of a printed header (BAR, Sec), and K in the place of kilo.
+    for other in (
+        word,
+        f"k{word[1:]}" if word[0] == "K" else word,
+        small if len(word) > 2 and word.isupper() else word,
+    ):
+        if is_unit(other):
+            return other
+    return word
 
 
 def is_notation(text: str) -> bool:

@@ -411,7 +411,7 @@ def _to_experiments(
     findings = [*_inspect_columns(record.match), *record.findings, *findings]
     if len(runs) > 1:
         findings.append(Finding(RecordCode.ONE_OF_RUNS, values={"runs": len(runs)}))
-    unwrapped = [_unwrap_outputs(y, model) for *_, y in runs]
+    unwrapped = [_unwrap_outputs(t, y, model) for _, t, _, y in runs]
     return [
         Experiment.from_arrays(
             t,
@@ -428,7 +428,21 @@ def _to_experiments(
     ]
 
 
-def _unwrap_outputs(outputs: Arrays, model: Model) -> tuple[dict[str, np.ndarray], list[Finding]]:
+# Share of a period that a reading may go on from row to row, as fast as it moves before or after, for its turns to be known: half of it
+# less the noise of a reading.
+SURE_SHARE = 0.45
+
+
+def _find_lost_turns(time: np.ndarray, reading: np.ndarray, period: float) -> np.ndarray:
+    """The steps, by their number, over which a continuous ``reading`` (N,) may have turned more than half a period unseen."""
+    moved, steps = np.abs(np.diff(reading)), np.diff(time)
+    speed = moved / steps
+    # As fast as in the steps beside it.
+    nearby = np.maximum(np.append(0.0, speed[:-1]), np.append(speed[1:], 0.0))
+    return np.flatnonzero(np.maximum(nearby * steps, moved) > SURE_SHARE * period)
+
+
+def _unwrap_outputs(time: np.ndarray, outputs: Arrays, model: Model) -> tuple[dict[str, np.ndarray], list[Finding]]:
     """Readings that start anew after a period, with their jumps taken out."""
     continuous, findings = dict(outputs), []
     for o in model.outputs:
@@ -442,6 +456,11 @@ def _unwrap_outputs(outputs: Arrays, model: Model) -> tuple[dict[str, np.ndarray
         if jumps:
             figures = {"jumps": jumps, "period": o.wraps, "unit": o.unit}
             findings.append(Finding(RecordCode.OUTPUT_UNWRAPPED, subject=o.name, values=figures))
+        lost = _find_lost_turns(time[known], continuous[o.name][known], o.wraps)
+        if len(lost):
+            start, stop = (float(time[known][lost[0] + k]) for k in (0, 1))
+            figures = {"period": o.wraps, "unit": o.unit, "times": len(lost), "start": start, "stop": stop}
+            findings.append(Finding(RecordCode.TURNS_UNCERTAIN, Severity.WARNING, o.name, figures))
     return continuous, findings
 
 

@@ -164,7 +164,7 @@ def _second_branches(candidate: FittedCandidate, scales: Scales) -> Iterator[tup
 
 def has_memory(effect: Effect) -> bool:
     """Whether an effect is no function of what is there at the moment: it has states, delays a signal or moves it between samples."""
-    return bool(effect.states or effect.delay or effect.hold)
+    return bool(effect.states or effect.delay or effect.is_of_record)
 
 
 def prepare_curve(rest: FittedCandidate, signal: EffectSignal) -> RefitJob:
@@ -191,7 +191,9 @@ def _curves(problem: DiscoveryProblem, candidate: FittedCandidate) -> Iterator[t
     """A curve at the site of every effect, over the variable that its signal depends on most."""
     for signal in estimate_effect_signals(problem, candidate):
         corrected: Effect | None = next((e for e in candidate.model.effects if e.name == signal.effect), None)
-        if corrected is not None and not (corrected.states or corrected.hold):  # these are no function of a variable
+        if corrected is not None and not (
+            corrected.states or corrected.is_of_record
+        ):  # these are no function of a variable
             yield corrected.name, _prepare_curve(candidate, signal, signal.value - signal.modelled)
 
 

@@ -21,6 +21,7 @@ from greybox.estimation.optimum import restore_residuals
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.sandwich import Columns, compute_correlations, compute_toeplitz_form
+from greybox.simulation.records import to_record
 
 # The statistics behind the residual tests: each returns a statistic and a p-value. Series may hold NaN in gaps.
 
@@ -437,14 +438,11 @@ def residual_tests(fit: Fit) -> ResidualTests:
 def _find_later_inputs(fit: Fit, output: int) -> list[str]:
     """The inputs that cannot act on an output in their own row: those held between rows, without a direct path to it."""
     model = fit.model
-    if (
-        not model.has_equations
-        or any(trace.hold != "zero" for trace in fit.traces)
-        or any(e.hold for e in model.effects)
-    ):
+    if not model.has_equations:
         return []
+    moving = np.any([to_record(model, trace.experiment).is_linear for trace in fit.traces], axis=0)
     direct = ca.jacobian(model.system.outputs[output], model.system.u).sparsity().get_col()
-    return [name for k, name in enumerate(model.system.input_names) if k not in direct]
+    return [name for k, name in enumerate(model.system.input_names) if k not in direct and not moving[k]]
 
 
 # p-value below which a test raises an alarm: one false alarm in a hundred good fits for each test.

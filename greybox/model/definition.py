@@ -39,7 +39,7 @@ def declare(model: Model) -> dict[str, str]:
         lines[f"state {state.name}"] = (
             f"state {state.name} [{format_unit(state.unit) or '-'}] starts at {start}{limits}"
         )
-    lines |= {f"hold of {e.name}": f"{e.name} holds {e.hold}" for e in model.effects if e.hold}
+    lines |= {f"record of {e.name}": f"{e.name} holds {e.hold}, late {e.late}" for e in model.effects if e.is_of_record}
     return lines | ({"plant": f"plant {model.identity}"} if model.identity else {})
 
 
@@ -104,7 +104,7 @@ def identify(model: Model) -> list[Any]:
         [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in model.all_parameters],
         [(tie.name, tie.formula) for tie in model.ties],
         [(s.name, s.bounds) for s in model.all_states],
-        [e.hold for e in model.effects],
+        [(e.hold, e.late) for e in model.effects],
         # Of a plant without equations these say nothing.
         model.identity,
     ]

@@ -110,6 +110,8 @@ class Effect:
     hold
         What the inputs do between samples, in the place of what the experiment says: ``zero``, ``first`` or ``band-limited`` (see
         `greybox.Experiment`).
+    late
+        Rows by which a record has the input at the site later than it acted; negative where it is written early.
     equation
         The equation in one line, for tables.
     parents
@@ -169,6 +171,7 @@ class Effect:
     on_term: Callable[[NamedValues, NamedValues, NamedValues], Mapping[str, Mapping[str, Expression]]] | None = None
     on_storage: Callable[[NamedValues, NamedValues, NamedValues], Mapping[str, Expression]] | None = None
     hold: str = ""
+    late: int = 0
     equation: str = ""
     parents: Sequence[str] = ()
     approaches: Sequence[str] = ()
@@ -182,6 +185,11 @@ class Effect:
     grid: Callable[[Any], Mapping[str, Sequence[float]]] | None = None
     limits: Callable[[Any], Mapping[str, tuple[float, float]]] | None = None
     from_parent: Callable[[Mapping[str, float], Any], list[Mapping[str, float]]] | None = None
+
+    @property
+    def is_of_record(self) -> bool:
+        """Whether it says how a record holds an input, and nothing of the plant."""
+        return bool(self.hold or self.late)
 
 
 # What an effect may bring besides terms: states that are set after each step, delays, and states that relax.

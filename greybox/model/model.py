@@ -44,7 +44,7 @@ class Model(Printable):
         What several parameters must satisfy together, and what a sensor may show (`Rule`).
     candidates
         Names of the catalogue's effects that this rig may hide. None given means all that have a place in it. What a record of any plant
-        may get wrong (a signal with its sign reversed) is tried as well.
+        may get wrong (a sign, a row) is tried as well.
     ties
         Parameters that others give; write ``model.tie(Kv="Kf")``.
 

@@ -210,10 +210,10 @@ class PlantModel(Model):
             raise ModelError(
                 f"effect {effect.name!r} acts inside, and {self.title} is run from outside: effects act at its inputs and outputs ({ports})"
             )
-        if effect.hold:
+        if effect.is_of_record:
             raise ModelError(
-                f"effect {effect.name!r} says what inputs do between rows, and {self.title} is run from outside: say it of the record"
-                " (Experiment(..., hold=...))"
+                f"effect {effect.name!r} says how a record holds an input, and {self.title} is run from outside: say it of the record"
+                " (Experiment(..., hold=...)), or correct its column"
             )
         return replace(self, effects=(*self.effects, effect))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary, WeakValueDictionary
@@ -67,11 +67,12 @@ def to_record(model: Model, experiment: Experiment) -> Record:
     # An effect says it of the input that it acts at; one that is added to a model overrules those before it.
     by_effects = {b.site: b.effect.hold for b in model.bound_effects if b.effect.hold} if model.effects else {}
     courses = {**experiment.courses, **by_effects}
-    inputs = tuple((i.name, courses[i.name]) for i in model.inputs)
+    late = {b.site: b.effect.late for b in model.bound_effects if b.effect.late} if model.effects else {}
+    inputs = tuple((i.name, courses[i.name], late.get(i.name, 0)) for i in model.inputs)
     laid_out = _LAID_OUT.setdefault(experiment, WeakValueDictionary())
     record = laid_out.get((inputs, tuple(names)))
     if record is None:
-        record = laid_out[inputs, tuple(names)] = _lay_out(experiment, dict(inputs), names)
+        record = laid_out[inputs, tuple(names)] = _lay_out(experiment, inputs, names)
     return record
 
 
@@ -79,18 +80,24 @@ def to_record(model: Model, experiment: Experiment) -> Record:
 _LAID_OUT: WeakKeyDictionary[Experiment, WeakValueDictionary[tuple[Any, ...], Record]] = WeakKeyDictionary()
 
 
-def _lay_out(experiment: Experiment, inputs: Mapping[str, str], outputs: Sequence[str]) -> Record:
+def _lay_out(experiment: Experiment, inputs: Sequence[tuple[str, str, int]], outputs: Sequence[str]) -> Record:
+    """``inputs``: name, course between the rows, and the rows by which it is written late."""
     rows = experiment.rows
-    u = stack_signals([experiment.inputs[name] for name in inputs], rows)
+    u = stack_signals([_shift(experiment.inputs[name], late) for name, _, late in inputs], rows)
     measured = (experiment.outputs.get(name) for name in outputs)
     y = stack_signals([np.full(rows, np.nan) if values is None else values for values in measured], rows)
-    courses = np.array([*inputs.values()], str)
+    courses = np.array([course for _, course, _ in inputs], str)
     if "band-limited" in courses:
         return _to_finer_record(experiment, u, y, courses)
     lengths, row = _group_intervals(experiment.intervals)
     # Equal intervals take the memory of one.
     h = np.broadcast_to(lengths, row.shape) if len(lengths) == 1 else lengths[row]
     return Record(u, y, h, row, lengths, courses != "zero")
+
+
+def _shift(values: np.ndarray, late: int) -> np.ndarray:
+    """An input (N,) that was written so many rows late where it acted; beyond the ends of the record it is what it is there."""
+    return values[np.clip(np.arange(len(values)) + late, 0, len(values) - 1)] if late else values
 
 
 # Points in each interval, between which the input is linear.

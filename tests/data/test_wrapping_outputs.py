@@ -52,3 +52,23 @@ def test_an_angle_that_wraps_is_fitted_as_it_turns(tmp_path) -> None:
 def test_a_period_is_above_zero(period: float) -> None:
     with pytest.raises(ModelError, match=r"output 'a': wraps = .*give a period above 0 in rad"):
         Output("a", "rad", wraps=period)
+
+
+@pytest.mark.parametrize(
+    ("rate", "gap", "uncertain"),
+    [(3.0, 0, False), (3.0, 60, False), (3.0, 150, True), (-8.0, 45, True), (0.02, 150, False), (300.0, 0, True)],
+    ids=["no gap", "a short gap", "a gap of half a turn", "a fast turn back", "nearly at rest", "sampled too slowly"],
+)
+def test_turns_that_nobody_saw_are_said_to_be_a_guess(tmp_path, rate, gap, uncertain) -> None:
+    time, rng = 0.01 * np.arange(400), np.random.default_rng(2)
+    turned = rate * time + 0.2 * np.sin(3 * time) * min(1.0, abs(rate)) + 1e-3 * rng.normal(size=400)
+    degrees = list(np.rad2deg((turned + np.pi) % (2 * np.pi) - np.pi))
+    for k in range(200, 200 + gap):
+        degrees[k] = ""
+    write(tmp_path / "run.csv", degrees, time, np.repeat(rng.normal(size=40), 10))
+    record = gb.read_csv(tmp_path / "run.csv", SPINDLE)
+    found = [f for f in record.findings if f.code is RecordCode.TURNS_UNCERTAIN]
+    assert bool(found) == uncertain
+    if uncertain and gap:
+        (finding,) = found
+        assert (finding.values["times"], finding.values["start"]) == (1, pytest.approx(1.99))

@@ -45,8 +45,14 @@ def test_each_effect_that_is_not_tried_has_its_reason(scales):
 def test_a_model_may_name_its_candidates(scales):
     few = replace(silverbox, candidates=("cubic_stiffness",))
     listed = list_candidates(few, scales, FailureLog())
-    # Beside what the plant may lack, a wire may be reversed.
-    assert [e.name for e in listed.effects] == ["cubic_stiffness", "reversed_input", "reversed_reading"]
+    # Beside what the plant may lack, the record may have a sign or a row wrong.
+    assert [e.name for e in listed.effects] == [
+        "cubic_stiffness",
+        "reversed_input",
+        "late_row",
+        "early_row",
+        "reversed_reading",
+    ]
     assert listed.not_tried["quadratic_stiffness"].code == Code.NOT_A_CANDIDATE
 
 

@@ -135,7 +135,7 @@ def to_plant(source: Fit | Model | Plant, *, with_equations: bool = True) -> Exp
     findings = [
         Finding(ExportFinding.INPUT_BETWEEN_ROWS, Severity.WARNING, effect.name)
         for effect in model.effects
-        if effect.hold
+        if effect.is_of_record
     ]
     if isinstance(source, Model):
         return ExportedModel(model, findings=tuple(findings))

@@ -5,7 +5,7 @@ roles (``x.velocity``, ``p.resistance``) and sites (``force``, ``input``, ``valv
 model that has them. Amplitudes are zero in the catalogue (or at their neutral value): an effect just added changes nothing
 until a fit, or ``model.start(Fc=1.5)``, says otherwise. The exceptions have no amplitude: ``choked_flow`` replaces the linear
 law, ``linear_input`` and ``band_limited_input`` say how the input moves between samples, ``reversed_input`` and
-``reversed_reading`` that a wire is the wrong way round.
+``reversed_reading`` that a wire is the wrong way round, ``late_row`` and ``early_row`` when an input acted.
 """
 
 from __future__ import annotations
@@ -104,9 +104,9 @@ def applicable_effects(model: Model, scales: Scales | None = None) -> list[Effec
         If an effect fits but its term has not the unit of its balance: a mistake in the catalogue.
     """
     wanted = {effect(name).name for name in model.candidates}
-    # A model says what the plant may lack; a wire that is reversed is no part of the plant.
+    # A model says what the plant may lack; what a record has wrong is no part of the plant.
     if wanted:
-        wanted |= {p.name for p in placement.find_placements(model, signal_path.REVERSED)}
+        wanted |= {p.name for p in placement.find_placements(model, signal_path.MISREAD)}
     entries = tuple(
         e for e in all_effects() if not wanted or any(name.partition(placement.AT)[0] == e.name for name in wanted)
     )

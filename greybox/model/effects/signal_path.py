@@ -286,6 +286,31 @@ reversed_reading = replace(
     source="direction in which an encoder counts, side from which a sensor looks",
 )
 
+late_row = Effect(
+    "late_row",
+    site="input",
+    parameters=[],
+    late=1,
+    equation="u of the next row in the place of u",
+    parity="linear",
+    tells_apart=(
+        "Look at a step of the input: a plant cannot answer before it. A logger that writes the command of the row before shows the answer"
+        " one row too early."
+    ),
+    source="logger that reads the command before the controller has written it",
+)
+
+early_row = replace(
+    late_row,
+    name="early_row",
+    late=-1,
+    equation="u of the row before in the place of u",
+    tells_apart=(
+        "Sample twice as fast: a row that is written early is early by half the time then, a delay of the plant or its drive stays."
+    ),
+    source="controller whose output acts from its next scan on, computing time of a controller",
+)
+
 gain_by_sign = Effect(
     "gain_by_sign",
     site="input",
@@ -389,7 +414,7 @@ backlash = Effect(
 )
 
 # What a record may get wrong of any plant.
-REVERSED: tuple[Effect, ...] = (reversed_input, reversed_reading)
+MISREAD: tuple[Effect, ...] = (reversed_input, reversed_reading, late_row, early_row)
 
 SIGNAL_PATH: tuple[Effect, ...] = (
     input_saturation,
@@ -404,6 +429,8 @@ SIGNAL_PATH: tuple[Effect, ...] = (
     input_offset,
     input_gain,
     reversed_input,
+    late_row,
+    early_row,
     gain_by_sign,
     sensor_drift,
     sensor_gain,

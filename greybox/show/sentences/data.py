@@ -127,6 +127,9 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
         f"output {f.subject!r} has {count_noun(f.values['gaps'], 'gap')} in {f.values['rows']} rows"
     ),
     RecordCode.OUTPUT_UNWRAPPED: "{kind} '{subject}' starts anew every {period:.6g} {unit}: {jumps} jumps taken out",
+    RecordCode.TURNS_UNCERTAIN: "{kind} '{subject}' starts anew every {period:.6g} {unit} and may have gone on by more than half of that"
+    " unseen, {times} times, first between {start:.6g} and {stop:.6g} s: the number of turns is a guess there; sample it faster, or split"
+    " the record there (--split-holes)",
     RecordCode.SENSOR_FROZEN: "{kind} '{subject}' stays at exactly {value:g} for {rows} rows, from {start:.6g} to {stop:.6g} s,"
     " while the input moves, with a jump before or after: if the sensor or the logger failed, " + _LEAVE_EMPTY,
     RecordCode.SENSOR_DEAD: "{kind} '{subject}' stays at exactly {value:g} from {start:.6g} s to the end ({rows} rows) while the"

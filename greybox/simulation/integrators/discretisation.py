@@ -152,6 +152,11 @@ METHODS = ("automatic", "exact", *EXPLICIT, "mixed", *IMPLICIT, ADAPTIVE)
 """What may be asked for."""
 
 
+# Explicit substeps in an interval from which an implicit method is taken in their place; where fewer are allowed, the run is meant to be
+# a coarse one.
+MOST_EXPLICIT_SUBSTEPS = 1000
+
+
 def choose_implicit_method(
     system: System, lengths: np.ndarray, *, alike: bool = True, written_out: bool = False
 ) -> str:
@@ -266,7 +271,7 @@ def discretise(
         # An implicit step is stable at any length; whether it is accurate is what ``target`` asks.
         1 if method in (*IMPLICIT, ADAPTIVE) else choose_substeps(system, p, x, longest, relaxing=fast, policy=policy)
     )
-    if method == "automatic" and not substeps and first >= policy.max_substeps:
+    if method == "automatic" and not substeps and first >= max(policy.max_substeps, MOST_EXPLICIT_SUBSTEPS):
         implicit = choose_implicit_method(system, lengths, written_out=written_out)
         method, first = (implicit, 1) if implicit else (method, first)
 

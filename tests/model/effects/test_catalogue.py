@@ -9,8 +9,10 @@ import pytest
 import greybox as gb
 from greybox import Balance, Effect, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError, UnitError
+from greybox.data.experiment import Experiment
 from greybox.model.effects.catalogue import CATALOGUE, applicable_effects, effect
 from greybox.model.effects.scales import measure_scales, tailor_to_record
+from greybox.simulation.records import to_record
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance
@@ -133,6 +135,15 @@ def test_a_reversed_wire_turns_the_sign_wherever_the_signal_goes(model):
         np.testing.assert_allclose(mirrored, [-plain[0], *plain[1:]], rtol=1e-12)
 
 
+@pytest.mark.parametrize(("name", "expected"), [("late_row", [2, 3, 4, 4]), ("early_row", [1, 1, 2, 3])])
+def test_a_row_late_or_early_is_another_row_of_the_record(name, expected):
+    record = Experiment("run", 0.1 * np.arange(4), {"u": np.arange(1.0, 5.0)}, {"x": np.arange(4.0)})
+    moved = to_record(micro_actuator + effect(name), record)
+    assert moved.u[:, 0].tolist() == expected
+    assert moved.y[:, 0].tolist() == [0, 1, 2, 3]
+    assert to_record(micro_actuator, record).u[:, 0].tolist() == [1, 2, 3, 4]
+
+
 @each_model
 def test_input_offset_moves_the_input_wherever_it_enters(model):
     changed = model + effect("input_offset")
@@ -225,7 +236,8 @@ ON_CYLINDER = """
 
 def reversed_signals(model):
     """What a record of any plant may get wrong: the first signal of each kind under the effect's own name."""
-    for base, signals in (("reversed_input", model.inputs), ("reversed_reading", model.outputs)):
+    ports = {"reversed_input": model.inputs, "reversed_reading": model.outputs}
+    for base, signals in (ports | {"late_row": model.inputs, "early_row": model.inputs}).items():
         yield base
         yield from (f"{base}_at_{signal.name}" for signal in signals[1:])
 

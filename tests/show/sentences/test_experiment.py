@@ -101,6 +101,12 @@ GOLDEN = {
         {"period": 6.28318531, "unit": "rad", "jumps": 12},
         "output 'a' starts anew every 6.28319 rad: 12 jumps taken out",
     ),
+    RecordCode.TURNS_UNCERTAIN: (
+        "a",
+        {"period": 360.0, "unit": "deg", "times": 2, "start": 1.25, "stop": 1.75},
+        "output 'a' starts anew every 360 deg and may have gone on by more than half of that unseen, 2 times, first between 1.25 and 1.75"
+        " s: the number of turns is a guess there; sample it faster, or split the record there (--split-holes)",
+    ),
     RecordCode.SENSOR_FROZEN: (
         "x",
         {"value": 0.731, "rows": 40, "start": 0.6, "stop": 0.99},

@@ -1,4 +1,4 @@
-"""A wire the wrong way round is no effect of the plant: a reversed input or reading is named as that, on rigs simulated without greybox."""
+"""What a record has wrong is no effect of the plant: a reversed wire, an input a row late or early, on rigs simulated without greybox."""
 
 from functools import cache
 
@@ -100,18 +100,20 @@ def run(name, seed):
 MODELS = {"motor": motor(), "stage": stage(), "heater": heater()}
 
 
-def record(name, seed, reversed_signals=()):
+def record(name, seed, reversed_signals=(), late=0):
     model = MODELS[name]
     u, y = run(name, seed)
+    # The first input as a logger that is so many rows late has it.
+    u = np.column_stack([u[np.clip(np.arange(ROWS) - late, 0, ROWS - 1), 0], u[:, 1:]])
     sign = dict.fromkeys(reversed_signals, -1.0)
     inputs = {i.name: sign.get(i.name, 1.0) * u[:, k] for k, i in enumerate(model.inputs)}
     outputs = {o.name: sign.get(o.name, 1.0) * y[:, k] for k, o in enumerate(model.outputs)}
     return gb.Experiment.from_arrays(PERIOD * np.arange(ROWS), inputs, outputs, name=f"run {seed}")
 
 
-def search(name, reversed_signals=()):
+def search(name, reversed_signals=(), late=0):
     noise = {o.name: n for o, n in zip(MODELS[name].outputs, NOISE[name], strict=True)}
-    learnt, judged = (record(name, seed, reversed_signals) for seed in (1, 2))
+    learnt, judged = (record(name, seed, reversed_signals, late) for seed in (1, 2))
     return gb.discover(MODELS[name], learnt, validation=judged, noise=noise)
 
 
@@ -129,6 +131,15 @@ def test_the_reversed_signal_is_named(name, signal, effect):
     found = search(name, (signal,))
     assert [e["name"] for e in found.effects] == [effect]
     assert found.effects[0]["grade"] == "established"
+
+
+@pytest.mark.parametrize(("name", "late"), [("motor", 1), ("stage", 1), ("heater", -1)])
+def test_an_input_that_is_written_in_another_row_is_named(name, late):
+    found = search(name, late=late)
+    (effect,) = found.effects
+    # Written early by one row, an input is late by one: a delay of just that is the same.
+    assert effect["name"] in (("late_row",) if late > 0 else ("early_row", "transport_delay"))
+    assert not any("lag" in c.name for c in found.claims if c.grade == "established")
 
 
 def test_two_reversed_readings_are_one_reversed_input():
