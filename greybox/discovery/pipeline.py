@@ -18,6 +18,7 @@ import numpy as np
 
 from greybox.base import DataError, Finding, ModelError, Severity
 from greybox.data.experiment import Experiment, name_records
+from greybox.data.identity import find_shared_readings, refuse_repeated
 from greybox.data.noise.growing import GrowingNoise
 from greybox.discovery import residual_noise
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
@@ -164,14 +165,15 @@ def discover(
             f"noise of {', '.join(growing)} grows with the signal; a search takes a standard deviation for each row: fit the plain model,"
             " and give the records the noise of its run (Experiment.noise)"
         )
-    learnt = {record.fingerprint for record in _as_tuple(estimation)}
-    if used := [record.name for record in validation_set.records if record.fingerprint in learnt]:
+    learnt = _as_tuple(estimation)
+    refuse_repeated(learnt)
+    if used := [shared.second.name for shared in find_shared_readings(validation_set.records, learnt)]:
         raise DataError(
             f"validation record {', '.join(used)}: it is fitted too, and what was fitted cannot judge; give another one"
         )
     test_set = ValidationSet(_as_tuple(test) if test else (), skip, beginning)
-    known = learnt | {record.fingerprint for record in validation_set.records}
-    if used := [record.name for record in test_set.records if record.fingerprint in known]:
+    known = (*learnt, *validation_set.records)
+    if used := [shared.second.name for shared in find_shared_readings(test_set.records, known)]:
         raise DataError(f"test record {', '.join(used)}: it takes part in the search already; give another one")
     if not validation_set:
         raise DataError(

@@ -10,7 +10,9 @@ from functools import reduce
 import numpy as np
 
 from greybox.base import Finding, FitError, ModelError, Severity, nearest, read_versions
-from greybox.data.experiment import Experiment, refuse_long_time_gaps
+from greybox.data.experiment import Experiment, as_records, collect_record_findings, refuse_long_time_gaps
+from greybox.data.findings import RecordCode
+from greybox.data.identity import mark_fitted, refuse_repeated
 from greybox.data.noise import GrowingNoise, NoiseModel, NoiseSource
 from greybox.estimation import result_parts
 from greybox.estimation.covariance import (
@@ -160,7 +162,9 @@ def fit(
     if colour not in list(ColourTreatment):
         raise ModelError(f"unknown colour {colour!r}; {nearest(colour, list(map(str, ColourTreatment)))}")
     held = [q.name for q in model.parameters if q.fixed and q.prior is not None]
-    judges = to_experiments(validation) if validation else ()  # refused before the work is done, and not after it
+    refuse_repeated(as_records(experiments))
+    # Refused before the work is done, and not after it.
+    judges = mark_fitted(to_experiments(validation), as_records(experiments)) if validation else ()
     optimum: Optimum
     starts: tuple[result_parts.StartResult, ...] = ()
     notices: tuple[Finding, ...] = ()
@@ -215,7 +219,10 @@ def fit(
             initial_rows=beginning,
             options=options,
         )
-        issues = find_validation_issues(result.misfit, judged.misfit)
+        issues = (
+            *(f for f in collect_record_findings(judges) if f.code == RecordCode.ALSO_FITTED),
+            *find_validation_issues(result.misfit, judged.misfit),
+        )
         result = replace(result, validation=judged, findings=(*result.findings, *issues))
     if raise_on_failure and not result.success:
         raise FitError(f"fit of {model.title}: {result.solver.status_message}")

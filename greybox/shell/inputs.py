@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.base import DataError, ExitCode, Finding, GreyboxError, ModelError, Severity, nearest
+from greybox.base import DataError, ExitCode, Finding, GreyboxError, ModelError, nearest
 from greybox.shell.plants import find_plant_kind
 from greybox.shell.study import Idle, Study
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note
@@ -109,14 +109,15 @@ def read_records(study: Study, model: Model) -> tuple[tuple[Experiment, ...], tu
     input is unknown is refused. Raises GreyboxError.
     """
     from greybox.data.experiment import refuse_unknown_input
+    from greybox.data.identity import mark_fitted, refuse_repeated
 
     from_files = {name: None for name, values in study.conditions.items() if values is None}
     given = {name: values for name, values in study.conditions.items() if values is not None}
     estimation, validation = (
         read_files(study, files, model, from_files) for files in (study.estimation, study.validation)
     )
-    refuse_repeated_records(study.estimation, estimation)
-    validation = tuple(_marked_if_fitted(record, estimation) for record in validation)
+    refuse_repeated(estimation)
+    validation = mark_fitted(validation, estimation)
     estimation, validation = _with_conditions(given, study, estimation, validation)
     if not study.split_holes:
         refuse_unknown_input([*estimation, *validation])
@@ -170,32 +171,6 @@ def layout_of(study: Study) -> dict[str, Any]:
     if study.read_limit:
         layout["reading"] = READING_POLICY.times(study.read_limit)
     return layout
-
-
-def refuse_repeated_records(files: Sequence[Path], records: Iterable[Experiment]) -> None:
-    """Refuse ``records`` of ``files`` that hold the same data. Raises GreyboxError."""
-    repeated = next((str(file) for k, file in enumerate(files) if file in files[:k]), "")
-    pair = (repeated, repeated)
-    known: dict[str, Experiment] = {}
-    for record in records:
-        first = known.setdefault(record.fingerprint, record)
-        if first.source != record.source:  # runs of one file may be alike: a program without noise wrote them
-            pair = (record.source or record.name, first.source or first.name)
-    if pair[0]:
-        what = "given twice" if repeated else f"the same data as {pair[1]}"
-        raise GreyboxError(f"{pair[0]}: {what}; its data would count twice, and intervals be too narrow; leave one out")
-
-
-def _marked_if_fitted(record: Experiment, estimation: Sequence[Experiment]) -> Experiment:
-    """A validation record, with a finding where it is one of the estimation records."""
-    from greybox.data.findings import RecordCode
-
-    same = next((r for r in estimation if r.fingerprint == record.fingerprint), None)
-    if same is None:
-        return record
-    name = same.source or same.name
-    finding = Finding(RecordCode.ALSO_FITTED, Severity.WARNING, values={"record": name})
-    return replace(record, findings=(*record.findings, finding))
 
 
 def _with_conditions(

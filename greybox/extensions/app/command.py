@@ -71,6 +71,7 @@ def app(study: AppStudy) -> None:
 
     Exit code 0: ended. 2: bad input, nothing was opened.
     """
+    from greybox.data.identity import refuse_repeated
     from greybox.data.noise.noise_sources import check_given_noise
     from greybox.extensions.app.session import LoadedRecord, Session
     from greybox.extensions.app.workbench import Workbench
@@ -98,7 +99,7 @@ def app(study: AppStudy) -> None:
         for file in files
         for record in book.read([file], study.columns, validates=validates)
     ]
-    inputs.refuse_repeated_records(study.estimation, (r.experiment for r in records if not r.validates))
+    refuse_repeated(r.experiment for r in records if not r.validates)
     judges = [r.experiment for r in records if r.validates]
     inputs.check_skip(study, judges)
     inputs.print_record_notes([r.experiment for r in records])

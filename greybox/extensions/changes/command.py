@@ -64,11 +64,12 @@ def changed(study: ChangeStudy) -> Answer:
 def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.base.parallel.jobs import open_workers
     from greybox.data.file_kinds import list_record_files
+    from greybox.data.identity import refuse_repeated
     from greybox.extensions.changes.detect import detect_changes
 
     files = list_record_files(study.estimation)
     records = read_like(known, files, study)
-    inputs.refuse_repeated_records(files, records)
+    refuse_repeated(records)
     validation = read_like(known, study.validation, study) if study.validation else ()
     inputs.check_skip(study, validation)
     inputs.print_record_notes(records, validation)
@@ -88,21 +89,23 @@ def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:
 
 def _survey(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.data.file_kinds import list_record_files
+    from greybox.data.identity import refuse_repeated
     from greybox.extensions.changes.survey import survey_population
 
     machines = {str(path): read_like(known, list_record_files([path]), study) for path in study.estimation}
-    inputs.refuse_repeated_records(study.estimation, (record for records in machines.values() for record in records))
+    refuse_repeated(record for records in machines.values() for record in records)
     inputs.print_record_notes(*machines.values())
     return survey_population(known, machines)
 
 
 def _chart(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.data.file_kinds import list_record_files
+    from greybox.data.identity import refuse_repeated
     from greybox.extensions.changes.survey import chart_changes
 
     files = list_record_files(study.estimation)
     records = read_like(known, files, study)
-    inputs.refuse_repeated_records(files, records)
+    refuse_repeated(records)
     inputs.print_record_notes(records)
     return chart_changes(known, records)
 

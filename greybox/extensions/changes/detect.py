@@ -16,6 +16,7 @@ from greybox.base.errors import DataError
 from greybox.base.findings import Check, Finding, Severity
 from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment, name_records
+from greybox.data.identity import find_shared_readings
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.pipeline import discover
 from greybox.discovery.result import Discovery
@@ -231,11 +232,9 @@ def detect_changes(
     if not listed:
         raise DataError("no record of today: give at least one")
     # Records that the fit was made of cannot have changed.
-    known = {trace.fingerprint for trace in reference.traces}
     findings: tuple[Finding, ...] = tuple(
-        Finding(ChangeCode.SAME_RECORD, Severity.WARNING, record.source or record.name)
-        for record in (*listed, *judges)
-        if record.fingerprint in known
+        Finding(ChangeCode.SAME_RECORD, Severity.WARNING, shared.second.source or shared.second.name)
+        for shared in find_shared_readings((*listed, *judges), [trace.experiment for trace in reference.traces])
     )
     today = refit(reference, listed)
     if not today.success:

@@ -116,8 +116,9 @@ def build_plain_model(name: str, study: Study) -> Model:
 
 def read_data(paths: Sequence[Path], model: Model, study: Study, sampling_time: float = 0.0) -> tuple[Experiment, ...]:
     """The records; what is to be said of them goes to stderr. Raises GreyboxError."""
+    from greybox.data.identity import refuse_repeated
     from greybox.data.read import read_experiments
-    from greybox.shell.inputs import layout_of, print_record_notes, refuse_repeated_records
+    from greybox.shell.inputs import layout_of, print_record_notes
 
     # The sampling time is one of the record to be designed: it counts for these where they have no time.
     layout = {**layout_of(study), "sampling_time": sampling_time or None}
@@ -127,7 +128,7 @@ def read_data(paths: Sequence[Path], model: Model, study: Study, sampling_time: 
         if not sampling_time:
             raise
         records = read_experiments(paths, model, **{**layout, "sampling_time": None})
-    refuse_repeated_records(paths, records)
+    refuse_repeated(records)
     print_record_notes(records)
     return records
 

@@ -201,8 +201,7 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     " the empty rows, or move what is below to a sheet of its own",
     RecordCode.CLOCKS_NOT_COMPARED: "clocks '{reference}' and '{subject}' have no signal in common: an offset between them cannot be told"
     " from a delay of the plant; record one signal on both, or fit a delay (shell: --effect transport_delay)",
-    RecordCode.ALSO_FITTED: "the same data as the estimation record {record}: it cannot validate the model; use a record that was"
-    " not fitted",
+    RecordCode.ALSO_FITTED: "{place}, which is fitted: it cannot validate the model; use a record that is not",
 }
 register({code: _about_records(template) for code, template in _TEMPLATES.items()})
 

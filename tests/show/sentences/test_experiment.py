@@ -228,8 +228,9 @@ GOLDEN = {
     ),
     RecordCode.ALSO_FITTED: (
         "",
-        {"record": "low.csv"},
-        "the same data as the estimation record low.csv: it cannot validate the model; use a record that was not fitted",
+        {"record": "low.csv", "place": "rows 1 to 90 are the readings of rows 31 to 120 of low.csv"},
+        "rows 1 to 90 are the readings of rows 31 to 120 of low.csv, which is fitted: it cannot validate the model;"
+        " use a record that is not",
     ),
 }
 
