@@ -162,6 +162,7 @@ def fit(
     if colour not in list(ColourTreatment):
         raise ModelError(f"unknown colour {colour!r}; {nearest(colour, list(map(str, ColourTreatment)))}")
     held = [q.name for q in model.parameters if q.fixed and q.prior is not None]
+    model.require_unchanged()
     refuse_repeated(as_records(experiments))
     # Refused before the work is done, and not after it.
     judges = mark_fitted(to_experiments(validation), as_records(experiments)) if validation else ()
@@ -203,6 +204,7 @@ def fit(
                 optimum, starts, notices = _try_other_starts(
                     begun, trouble, problem, experiments, options, colour, report
                 )
+    model.require_unchanged()
     result = assemble_fit(optimum, options)
     if starts or notices:
         result = replace(result, starts=starts, findings=(*notices, *result.findings))

@@ -25,12 +25,8 @@ class Balance:
     state
         Name of the state whose rate the balance gives.
     **terms
-        The terms by name: expressions of states, inputs and parameters, or numbers.
-
-    Raises
-    ------
-    ModelError
-        Without any term.
+        The terms by name: expressions of states, inputs and parameters, or numbers. None for a random walk, whose state has process
+        noise and nothing else that moves it.
 
     Examples
     --------
@@ -46,8 +42,6 @@ class Balance:
     terms: Mapping[str, Expression]
 
     def __init__(self, name: str, unit: str, storage: Expression, state: str, /, **terms: Expression) -> None:
-        if not terms:
-            raise ModelError(f"balance {name!r} has no terms; name at least one, as in Balance(..., spring=-p.K * x.x)")
         for field, value in {
             "name": name,
             "unit": unit,

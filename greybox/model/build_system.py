@@ -38,6 +38,12 @@ from greybox.model.system import (
 )
 
 NOWHERE = Site("", PlaceKind.BALANCE, "")
+# Functions of an effect that need a place of that kind.
+_ACTS = {
+    PlaceKind.BALANCE: ("dry",),
+    PlaceKind.INPUT: ("on_input", "delay"),
+    PlaceKind.OUTPUT: ("on_output",),
+}
 
 
 def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
@@ -51,6 +57,7 @@ def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
     base = _plant_balances(statement)
     units = _units_by_word(statement, base)
     sites = list_sites(statement.states, statement.inputs, statement.outputs, base)
+    relations = {b.name for b in base if stores_nothing(b)}
     placed: list[PlacedEffect] = []
     for effect in statement.effects:
         if any(effect.name == other.effect.name for other in placed):
@@ -60,6 +67,7 @@ def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
         site = (
             require_site(effect.name, effect.site, statement.name, sites, statement.inputs) if effect.site else NOWHERE
         )
+        _check_place(effect, site, relations)
         words = {word: unit for word, unit in (units | _unit_words(site.units)).items() if site.states.get(word) != ""}
         items: tuple[Item, ...] = (*effect.parameters, *effect.states)
         names = {item.name: f"{effect.name}.{item.name}" if item.name in taken else item.name for item in items}
@@ -74,6 +82,21 @@ def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
         taken |= set(names.values())
         placed.append(PlacedEffect(effect, parameters, states, site))
     return tuple(placed)
+
+
+def _check_place(effect: EffectEquations, site: Site, relations: Iterable[str]) -> None:
+    """Refuse an effect at a place that does not have what it changes. Raises ModelError."""
+    needed = [kind for kind, acts in _ACTS.items() if effect.site and any(getattr(effect, act) for act in acts)]
+    if needed and site.kind not in needed:
+        raise ModelError(
+            f"effect {effect.name!r} acts at {' or '.join(needed)}s, and {site.name!r} is an {site.kind}; name another place".replace(
+                "is an balance", "is a balance"
+            )
+        )
+    if effect.dry and site.name in relations:
+        raise ModelError(
+            f"effect {effect.name!r} can hold a body still, and balance {site.name!r} stores nothing; name a balance that does"
+        )
 
 
 def plant_sites(statement: Statement) -> tuple[Site, ...]:
@@ -319,9 +342,16 @@ def _in_stated_time(balance: Balance, units: Mapping[str, str]) -> Balance:
     return balance.with_storage(rate.factor / stated.factor)
 
 
+def _plant_symbols(statement: Statement) -> tuple[NamedValues, NamedValues, NamedValues]:
+    return (
+        named_symbols("state", statement.states),
+        named_symbols("input", statement.inputs),
+        named_symbols("parameter", statement.parameters),
+    )
+
+
 def _plant_balances(statement: Statement) -> list[Balance]:
-    groups = ("state", statement.states), ("input", statement.inputs), ("parameter", statement.parameters)
-    return statement.balances(*(named_symbols(kind, items) for kind, items in groups))
+    return statement.balances(*_plant_symbols(statement))
 
 
 def _start(
@@ -456,9 +486,44 @@ def build_checked_system(statement: Statement) -> System:
     """
     validation.check_names(statement)
     validation.check_expressions(statement)
+    written = _write_plant(statement)
     system = build_system(statement)
     unit_check.check_units(statement, system)
+    system = replace(system, written=written)
+    refuse_changing(statement, system)
+    # Functions of effects are asked a second time as well.
+    if statement.effects and str(build_system(statement).rhs) != str(system.rhs):
+        raise ModelError(_say_changing(statement, ", ".join(e.name for e in statement.effects), "", ""))
     return system
+
+
+def refuse_changing(statement: Statement, system: System) -> None:
+    """Refuse functions of a model that state something else than when ``system`` was built. Raises ModelError with both lines."""
+    now = _write_plant(statement)
+    for place in {**system.written, **now}:
+        before, after = system.written.get(place, "nothing"), now.get(place, "nothing")
+        if before != after:
+            raise ModelError(_say_changing(statement, place, before, after))
+
+
+def _say_changing(statement: Statement, place: str, before: str, after: str) -> str:
+    lines = f" ({before}, then {after})" if before else ""
+    return (
+        f"model {statement.title!r}: {place} states something else each time it is asked{lines}; a model is one set of equations: take"
+        " random numbers, counters, clocks and files out of its functions, and give what varies as an input or a parameter"
+    )
+
+
+def _write_plant(statement: Statement) -> dict[str, str]:
+    """Every line that the functions of a plant state, by its place."""
+    x, u, p = named = _plant_symbols(statement)
+    lines = {}
+    for b in statement.balances(*named):
+        lines |= {f"balance {b.name!r}, term {term!r}": str(value) for term, value in b.terms.items()}
+        lines[f"balance {b.name!r}, storage"] = str(b.storage)
+    lines |= {f"output {o.name!r}": str(o.equation(x, u, p)) for o in statement.outputs if o.equation}
+    lines |= {f"start of {s.name!r}": str(s.start(p)) for s in statement.states if callable(s.start)}
+    return lines | {f"noise of {s.name!r}": str(s.noise(p)) for s in statement.states if callable(s.noise)}
 
 
 class SystemCache:

@@ -106,6 +106,8 @@ def _bracketed(unit: str) -> str:
 def _balance(balance: Balance, width: int) -> list[str]:
     """``M dv/dt = Kf i - B v`` and, below, the names of the terms."""
     left = "0 = " if stores_nothing(balance) else f"{_storage(balance)} = "
+    if not balance.terms:  # a random walk
+        return [f"{left}0"]
     terms = [(*_term(value, len(balance.terms)), name) for name, value in balance.terms.items()]
     equation, names = left, " " * len(left)
     for k, (negative, text, name) in enumerate(terms):

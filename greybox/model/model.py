@@ -240,6 +240,10 @@ class Model(Printable):
         """Whether there are equations; what is run from outside has none."""
         return not isinstance(self.balances, balance.ClosedBalances)
 
+    def require_unchanged(self) -> None:
+        """Refuse functions that state something else now than when the model was made: random numbers, a counter. Raises ModelError."""
+        build_system.refuse_changing(self.statement, self.system)
+
     def require_equations(self, purpose: str) -> None:
         """Refuse ``purpose``, which begins the reason, where there are no equations. Raises ModelError."""
         if not self.has_equations:

@@ -28,10 +28,13 @@ MOTION, STORE, PRESSURE, HEAT, VOLTAGE, ANGLE, SHAFT, FIRST_INPUT, DRIVE, VALVE,
 # Role -> units of a balance and of its state that tell it.
 ROLE_OF_WORD = {STORE: "store", PRESSURE: "pressure", HEAT: "temperature", VOLTAGE: "current"}
 STORE_ROLES = ("pressure", "level", "upper_head", "lower_head")
-SPEEDS = tuple(map(parse_unit, ("m/s", "rad/s")))
-FORCES = tuple(map(parse_unit, ("N", "N*m", "m/s^2", "rad/s^2")))
+# A prefix does not change what a balance is of: kW and kN are W and N.
+SPEEDS, FORCES = (
+    tuple(parse_unit(unit).dimensions for unit in units)
+    for units in (("m/s", "rad/s"), ("N", "N*m", "m/s^2", "rad/s^2"))
+)
 ROLES_BY_UNITS = {
-    role: (parse_unit(balance), parse_unit(state))
+    role: (parse_unit(balance).dimensions, parse_unit(state).dimensions)
     for role, balance, state in (("current", "V", "A"), ("temperature", "W", "K"), ("level", "m^3/s", "m"))
 }
 _KIND_OF_BALANCE = re.compile(r"_(torque|force|balance|moment|motion)$")
@@ -80,9 +83,11 @@ class Site:
     @property
     def turns(self) -> bool:
         """Whether that velocity is one of rotation."""
-        return self.is_motion and parse_unit(self.units["velocity"]) == SPEEDS[1]
+        return self.is_motion and parse_unit(self.units["velocity"]) == parse_unit("rad/s")
 
 
+# What a place is that a word of the catalogue means, where it is no balance.
+KIND_OF_WORD = dict.fromkeys((FIRST_INPUT, DRIVE, VALVE), PlaceKind.INPUT) | {SENSOR: PlaceKind.OUTPUT}
 # What a place must be for each word that effects name it by.
 NEEDED: Mapping[str, str] = {
     MOTION: "a balance of a velocity, in N, N m or per mass",
@@ -138,9 +143,12 @@ def list_sites(
 def find_sites(word: str, sites: Sequence[Site], inputs: Sequence[Input]) -> tuple[Site, ...]:
     """The sites that ``word`` means, the one first that it means where only one is asked for.
 
-    A balance, an input or an output of that name is meant first. An input's role means all inputs that have it.
+    A balance, an input or an output of that name is meant first, but for words of the catalogue that mean another kind of place: a
+    balance called `sensor` is none. An input's role means all inputs that have it.
     """
-    named = [s for s in sites if s.name == word] or [s for s in sites if s.label == word]
+    kinds = {KIND_OF_WORD.get(word, PlaceKind.BALANCE)} if word in NEEDED else {*PlaceKind}
+    places = [s for s in sites if s.kind in kinds]
+    named = [s for s in places if s.name == word] or [s for s in places if s.label == word]
     if word == MOTION:
         meant = [s for s in sites if s.kind is PlaceKind.BALANCE and s.is_motion]
     elif word in (ANGLE, SHAFT):
@@ -174,7 +182,7 @@ def _takes(word: str, role: str) -> bool:
 def _role_by_units(balance: Balance, state: State) -> str:
     """The role that units alone tell of a state without one: a current in A whose balance is in V, and the like; else none."""
     try:
-        units = parse_unit(balance.unit), parse_unit(state.unit)
+        units = parse_unit(balance.unit).dimensions, parse_unit(state.unit).dimensions
     except ModelError:  # the unit check of the model says which one
         return ""
     return next((role for role, known in ROLES_BY_UNITS.items() if known == units), "")
@@ -184,7 +192,7 @@ def _is_motion(balance: Balance, state: State) -> bool:
     if state.role:
         return state.role == "velocity"
     try:
-        return parse_unit(balance.unit) in FORCES and parse_unit(state.unit) in SPEEDS
+        return parse_unit(balance.unit).dimensions in FORCES and parse_unit(state.unit).dimensions in SPEEDS
     except ModelError:  # the unit check of the model says which one
         return False
 

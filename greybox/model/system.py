@@ -6,8 +6,8 @@ statement share one system, whatever the values, bounds and priors of their para
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -216,7 +216,8 @@ class System:
     of ``p``; no other equation contains it.
 
     ``algebraic`` are states whose balances store nothing: every equation holds their values in their place. ``stated_balances`` and
-    ``stated_outputs`` are written with the symbols of these states, for people and for the check of units.
+    ``stated_outputs`` are written with the symbols of these states, for people and for the check of units. ``written`` is what each
+    function of the plant stated, by its place.
     """
 
     x: ca.SX
@@ -241,6 +242,7 @@ class System:
     algebraic: tuple[AlgebraicState, ...] = ()
     stated_balances: tuple[Balance, ...] = ()
     stated_outputs: ca.SX | None = None
+    written: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def relations(self) -> ca.Function:

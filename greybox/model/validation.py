@@ -169,6 +169,11 @@ def check_expressions(statement: Statement) -> None:
             raise ModelError(
                 f"{title}: balances returns {balance!r} as number {number} of its list; write Balance(...)"
             )
+        if not (balance.terms or any(s.name == balance.state and s.noise for s in statement.states)):
+            raise ModelError(
+                f"{title}: balance {balance.name!r} has no terms; name at least one, as in Balance(..., spring=-p.K * x.x), or give its"
+                " state process noise (a random walk)"
+            )
         for term, value in balance.terms.items():
             _check_number(f"{title}: balance {balance.name!r}, term {term!r}", value)
     for output in statement.outputs:

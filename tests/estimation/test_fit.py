@@ -419,10 +419,14 @@ def test_a_fit_is_read_only_and_can_be_copied():
 
 def test_what_is_odd_about_a_record_stands_in_the_fit():
     truth = micro_actuator.fix("M", "Ra")
-    data = linear_record(truth, actuator_input(1, 400), 2.5e-4, noise={"x": 2e-7, "i": 5e-3})
+    remark = (Finding(RecordCode.COLUMNS_IGNORED, values={"columns": ["temp"]}),)
     odd = [
-        replace(data, name=name, findings=(Finding(RecordCode.COLUMNS_IGNORED, values={"columns": ["temp"]}),))
-        for name in ("a", "b")
+        replace(
+            linear_record(truth, actuator_input(1, 400), 2.5e-4, noise={"x": 2e-7, "i": 5e-3}, seed=seed),
+            name=name,
+            findings=remark,
+        )
+        for seed, name in enumerate("ab")
     ]
     remark = fit(truth, odd, options=REST).findings[-1]
     assert remark.code == RecordCode.COLUMNS_IGNORED and list(remark.values["records"]) == ["a", "b"]

@@ -196,7 +196,8 @@ def test_a_constant_that_imitates_a_missing_effect_is_named():
     (friction,) = [shift for shift in shifts if shift["name"] == "Fv"]
     assert friction["before"] == pytest.approx(200, abs=1) and friction["after"] == pytest.approx(215, abs=1)
     assert friction["parts"] == ["experiment:'day 1'", "experiment:'day 2'"]
-    same = fit(emps, [first, replace(first, name="again")], noise=noise)
+    again = linear_record(emps.start(Fv=200.0), u, 1e-3, noise=noise, seed=3, name="again")
+    same = fit(emps, [first, again], noise=noise)
     assert EstimationCode.PARAMETER_NOT_CONSTANT not in codes(same.findings)
 
 

@@ -122,6 +122,8 @@ def test_notes_of_the_records_go_to_stderr_once(run: Run, data: Path, tmp_path: 
         "note: a.csv, b.csv: not measured: output 'i'",
         "note: a.csv, b.csv: the header gives no unit for time, u, x: s, V, m assumed",
         "note: a.csv, b.csv: columns ignored: 'temp'",
+        "note: b.csv: rows 1 to 1499 are the readings of rows 1 to 1499 of a.csv, which is fitted: it cannot validate the model;"
+        " use a record that is not",
     ]
     assert run(*arguments, "-q").output == ""
 

@@ -22,6 +22,7 @@ from greybox.estimation.identifiability.combinations import (
 from greybox.estimation.identifiability.sensitivity import compute_free_run_sensitivities, draw_constants, highest_ranks
 from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity
 from greybox.model import Model, Output
+from greybox.model.validation import TIME_NAMES
 
 
 class IdentifiabilityVerdict(StrEnum):
@@ -184,7 +185,8 @@ def analyse_structural_identifiability(
 
 def find_unmeasured_states(model: Model) -> list[str]:
     """States of the plant that are not an output: where another sensor could sit."""
-    used = {i.name for i in model.inputs} | {o.name for o in model.outputs}
+    # A clock called t has no column of its own: that of the time is called so.
+    used = {i.name for i in model.inputs} | {o.name for o in model.outputs} | {*TIME_NAMES}
     system = model.system
     numbers = {s.name: system.state_names.index(s.name) for s in model.states if s.name in system.state_names}
     measured = {

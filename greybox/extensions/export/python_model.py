@@ -80,6 +80,7 @@ def python_text(plant: ExportedModel) -> str:
     """The text of the file."""
     # The model is a variable beside what the text imports.
     model, (name,) = plant.model, to_identifiers([plant.model.name], [*kwlist, *PUBLIC, *OTHER_NAMES])
+    model.require_unchanged()
     # The body first: what is imported follows from what it names.
     printer = Printer(PYTHON, _plant_names(model))
     balances = model.balances(*_plant_symbols(model))
