@@ -517,7 +517,7 @@ def _say_changing(statement: Statement, place: str, before: str, after: str) -> 
 def _write_plant(statement: Statement) -> dict[str, str]:
     """Every line that the functions of a plant state, by its place."""
     x, u, p = named = _plant_symbols(statement)
-    lines = {}
+    lines: dict[str, str] = {}
     for b in statement.balances(*named):
         lines |= {f"balance {b.name!r}, term {term!r}": str(value) for term, value in b.terms.items()}
         lines[f"balance {b.name!r}, storage"] = str(b.storage)
