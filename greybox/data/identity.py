@@ -149,14 +149,14 @@ class _Readings:
     @cached_property
     def events(self) -> dict[str, np.ndarray]:
         """Output -> rows whose reading is not what those before it lead to expect."""
-        found = {}
+        rows_of = {}
         for name, values in self.experiment.outputs.items():
             second, fourth = np.abs(np.diff(values, 2)), np.abs(np.diff(values, 4))
             around = np.maximum(np.maximum(second[:-2], second[1:-1]), second[2:])
             with np.errstate(invalid="ignore"):
                 is_rough = fourth / np.sqrt(70) > UNEXPECTED * around / np.sqrt(6)
-                found[name] = np.flatnonzero(is_rough & (fourth > EVENT_DIGITS * self.digits[name][4:])) + 4
-        return found
+                rows_of[name] = np.flatnonzero(is_rough & (fourth > EVENT_DIGITS * self.digits[name][4:])) + 4
+        return rows_of
 
     def is_like(self, other: _Readings) -> bool:
         """Whether all rows agree with those of another record of as many, and some of them change."""
@@ -232,8 +232,8 @@ def _find_digits(values: np.ndarray) -> np.ndarray:
     # The next larger range where there is one; a converted unit moves a power of ten into the middle of a range, so that the coarser
     # digit of two neighbours counts. Above all known ones there may be one digit less.
     places = np.searchsorted(known, octaves)
-    own, next_one = (digits[known[np.minimum(places + k, len(known) - 1)]] for k in (0, 1))
-    return np.where(places < len(known), np.maximum(own, next_one), 10 * own)
+    here, above = (digits[known[np.minimum(places + k, len(known) - 1)]] for k in (0, 1))
+    return np.where(places < len(known), np.maximum(here, above), 10 * here)
 
 
 def _common_divisor(values: np.ndarray, largest: float) -> float:

@@ -24,11 +24,11 @@ def _fit_brief(answer: FitAnswer) -> Iterator[Block]:
     yield Facts([("or" if k else "remedy", text) for k, text in enumerate(answer.remedies)])
     yield from (Details(title, [block]) for title, block in further_intervals(answer))
     yield Paragraphs([answer.refusal] if answer.refusal else [])
-    said: list[Block] = []  # what corrects the predictions is often the same for both
+    shown: list[Block] = []  # what corrects the predictions is often the same for both
     for title, scores in (("", answer.scores), (", validation records", answer.validation_scores)):
         if scores is not None:
-            blocks = [block for block in scores.describe().brief if block not in said]
-            said += blocks
+            blocks = [block for block in scores.describe().brief if block not in shown]
+            shown += blocks
             yield Details(f"free run and prediction{title}", blocks)
     if answer.tests is not None:
         title = "residual tests (p below 0.01 is an alarm; each test has a false-alarm rate of 1 %)"
