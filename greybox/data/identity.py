@@ -232,8 +232,8 @@ def _find_digits(values: np.ndarray) -> np.ndarray:
     # The next larger range where there is one; a converted unit moves a power of ten into the middle of a range, so that the coarser
     # digit of two neighbours counts. Above all known ones there may be one digit less.
     places = np.searchsorted(known, octaves)
-    here, above = (digits[known[np.minimum(places + k, len(known) - 1)]] for k in (0, 1))
-    return np.where(places < len(known), np.maximum(here, above), 10 * here)
+    inside_range, above = (digits[known[np.minimum(places + k, len(known) - 1)]] for k in (0, 1))
+    return np.where(places < len(known), np.maximum(inside_range, above), 10 * inside_range)
 
 
 def _common_divisor(values: np.ndarray, largest: float) -> float:
