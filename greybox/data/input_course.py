@@ -120,7 +120,7 @@ def choose_courses(hold: Holds, inputs: Mapping[str, np.ndarray]) -> dict[str, H
 
 def is_open(course: Hold, values: np.ndarray) -> bool:
     """Whether an input (N,) that moves by this course may move by the other one, held or straight, for all that its values show."""
-    return course in ("zero", "first") and inspect_course(values) is not CourseEvidence.STEPS
+    return course == "first" or (course == "zero" and inspect_course(values) is not CourseEvidence.STEPS)
 
 
 def choose_course(values: np.ndarray) -> Hold:

@@ -200,6 +200,10 @@ class Optimum(ABC):
         if self.solution.joined or not (len(variables.which) and np.isfinite(self.evaluation.cost)):
             return ()
         bounds = variables.bounds()
+        # The noise stays as it is: of a likelihood far off its optimum one step says nothing of it.
+        noise = [k for k, name in enumerate(variables.names) if name in problem.model.noise_parameters]
+        for limits in bounds:
+            limits[[*noise, *range(variables.slices.noise_levels.start, variables.size)]] = 0.0
         step = self.evaluation.bounded_step(*bounds)
         least = self.evaluation.cost - self.evaluation.predicted_decrease(*bounds)
         result = []
@@ -212,7 +216,7 @@ class Optimum(ABC):
             if all(a is b for a, b in zip(records, problem.records, strict=True)):
                 continue
             evaluation = self.objective.with_records(records).evaluate(variables.here)
-            if not np.isfinite(evaluation.cost):
+            if not (np.isfinite(evaluation.cost) and evaluation.is_finite):
                 continue
             change = (evaluation.bounded_step(*bounds) - step)[: len(variables.which)] * variables.spans
             gain = least - (evaluation.cost - evaluation.predicted_decrease(*bounds))

@@ -1,0 +1,114 @@
+"""What a fit says of the course of an input between rows: where the records contradict it, and where they leave it open."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+import greybox as gb
+from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
+from greybox.estimation.findings import EstimationCode
+
+STEP, ROWS = 0.05, 1000
+TIME = STEP * np.arange(ROWS)
+CODES = (EstimationCode.INPUT_COURSE_CONTRADICTED, EstimationCode.INPUT_COURSE_OPEN)
+
+lag = Model(
+    "lag",
+    states=[State("y", "V")],
+    inputs=[Input("u", "V")],
+    outputs=[Output("y", "V")],
+    parameters=[Parameter("K", "1", 1.0, (1e-3, 1e3)), Parameter("tau", "s", 1.0, (1e-3, 1e3))],
+    balances=lambda x, u, p: [Balance("lag", "V", p.tau, "y", drive=p.K * u.u, decay=-x.y)],
+)
+
+
+def sines(seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.sum([np.sin(2 * np.pi * f * TIME + rng.uniform(0, 6)) for f in (0.05, 0.17, 0.4, 0.9)], axis=0)
+
+
+SMOOTH = {"sines": sines(0), "chirp": np.sin(0.6 * TIME**1.4), "other sines": 3 + sines(5)}
+
+
+def measure(u: np.ndarray, straight: bool, level: float, seed: int = 0) -> np.ndarray:
+    y = lsim(([[-2.0]], [[4.0]], [[1.0]], [[0.0]]), u, TIME, interp=straight, X0=[2 * u[0]])[1]
+    return y + level * y.std() * np.random.default_rng(seed).normal(size=ROWS)
+
+
+def find(fit: gb.Fit) -> list:
+    return [f for f in fit.findings if f.code in CODES]
+
+
+@pytest.mark.parametrize("straight", [True, False], ids=["straight", "held"])
+@pytest.mark.parametrize("name", SMOOTH)
+def test_the_records_contradict_a_wrong_course_and_confirm_a_right_one(name: str, straight: bool) -> None:
+    u = SMOOTH[name]
+    y = measure(u, straight, 0.02)
+    right, wrong = ("first", "zero") if straight else ("zero", "first")
+    record = Experiment.from_arrays(TIME, {"u": u}, {"y": y}, hold=right)
+    fit, mistaken = gb.fit(lag, record), gb.fit(lag, record.with_hold(wrong))
+    assert not find(fit)
+    (finding,) = find(mistaken)
+    assert (finding.code, finding.subject, finding.values["course"]) == (CODES[0], "u", right)
+    # One step to the other course ends where a fit with it does, within a fifth of what was wrong.
+    for constant, (before, after, deviations) in finding.values["changes"].items():
+        assert before == pytest.approx(mistaken.parameters[constant].value)
+        assert after == pytest.approx(fit.parameters[constant].value, abs=0.2 * abs(after - before))
+        assert deviations > 1
+
+
+def test_steps_that_were_said_to_be_straight_are_contradicted() -> None:
+    u = np.repeat(np.random.default_rng(2).normal(size=ROWS // 10), 10)
+    y = measure(u, False, 0.02)
+    (finding,) = find(gb.fit(lag, Experiment.from_arrays(TIME, {"u": u}, {"y": y}, hold="first")))
+    assert (finding.code, finding.values["course"]) == (CODES[0], "zero")
+    assert not find(gb.fit(lag, Experiment.from_arrays(TIME, {"u": u}, {"y": y})))
+
+
+def test_where_noise_hides_the_course_a_fit_says_what_rests_on_it() -> None:
+    u, seen = SMOOTH["sines"], []
+    for seed in range(8):
+        found = find(gb.fit(lag, Experiment.from_arrays(TIME, {"u": u}, {"y": measure(u, True, 0.3, seed)})))
+        # Never silent where tau depends on it by more than its deviation.
+        assert [f.subject for f in found] == ["u"] and "tau" in found[0].values["changes"]
+        seen.append(found[0].code)
+    assert CODES[1] in seen
+
+
+def test_the_filter_tells_the_course_too() -> None:
+    u = SMOOTH["sines"]
+    y = measure(u, True, 0.01)
+    pushed = lag.with_process_noise(y=0.01)
+    record = Experiment.from_arrays(TIME, {"u": u}, {"y": y}, hold="zero")
+    (finding,) = find(gb.fit(pushed, record))
+    assert (finding.code, finding.values["course"]) == (CODES[0], "first")
+    assert not find(gb.fit(pushed, record.with_hold("first")))
+
+
+def test_of_two_inputs_the_mistaken_one_is_named() -> None:
+    room = Model(
+        "room",
+        states=[State("T", "K", 290.0)],
+        inputs=[Input("P", "W"), Input("Ta", "K")],
+        outputs=[Output("T", "K")],
+        parameters=[Parameter("C", "J/K", 1e6, (1e4, 1e9)), Parameter("R", "K/W", 0.05, (1e-4, 10.0))],
+        balances=lambda x, u, p: [Balance("air", "W", p.C, "T", heater=u.P, loss=(u.Ta - x.T) / p.R)],
+    )
+    rng, time = np.random.default_rng(0), 900.0 * np.arange(300)
+    power, outside = 1000.0 * (rng.random(300) < 0.4), 278 + 8 * np.sin(2 * np.pi * time / 7200)
+    A, B = [[-1 / (2e6 * 0.02)]], [[1 / 2e6, 1 / (2e6 * 0.02)]]
+    zero = np.zeros(300)
+    # The answers to a held heater and to a straight temperature add up.
+    parts = [
+        lsim((A, B, [[1.0]], [[0.0, 0.0]]), np.column_stack(pair), time, interp=straight, X0=[start])[1]
+        for pair, straight, start in (((power, zero), False, 290.0), ((zero, outside), True, 0.0))
+    ]
+    record = Experiment.from_arrays(time, {"P": power, "Ta": outside}, {"T": sum(parts) + 0.01 * rng.normal(size=300)})
+    for hold, wrong in (("zero", "Ta"), ("first", "P")):
+        assert [f.subject for f in find(gb.fit(room, record.with_hold(hold)))] == [wrong]
+    right = gb.fit(room, record.with_hold({"Ta": "first", "P": "zero"}))
+    assert not find(right) and right.misfit["T"].rmse == pytest.approx(0.01, rel=0.1)
+    placed = gb.fit(room + gb.effect("linear_input_at_Ta"), record)
+    assert [q.value for q in placed.parameters.values()] == pytest.approx([q.value for q in right.parameters.values()])
