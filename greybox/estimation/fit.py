@@ -222,7 +222,11 @@ def fit(
             options=options,
         )
         issues = (
-            *(f for f in collect_record_findings(judges) if f.code == RecordCode.ALSO_FITTED),
+            *(
+                f
+                for f in collect_record_findings(e for e in judges if e not in as_records(validation))
+                if f.code == RecordCode.ALSO_FITTED
+            ),
             *find_validation_issues(result.misfit, judged.misfit),
         )
         result = replace(result, validation=judged, findings=(*result.findings, *issues))
