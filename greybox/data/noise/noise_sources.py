@@ -265,7 +265,9 @@ def _estimate_level(
     least = policy.min_relative_level * movement
     if max(level.std, rounding) < least:
         return replace(level, std=least, direction=BoundDirection.AT_MOST, weight=max(level.weight, least))
-    return replace(level, std=max(level.std, rounding), weight=max(level.weight, rounding, least))
+    # Noise is part of what a signal shows: whatever its source says, there is no more of it than of movement.
+    std, weight = (min(size, movement) for size in (max(level.std, rounding), max(level.weight, rounding, least)))
+    return replace(level, std=std, weight=weight)
 
 
 def _level_of_records(

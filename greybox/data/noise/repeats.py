@@ -247,7 +247,7 @@ def estimate_resolution(columns: Sequence[np.ndarray]) -> float:
     return float(np.quantile(steps, CODE_STEP))
 
 
-# Fewest different readings that can show that all of them lie on a grid.
+# Fewest points of a grid at which readings must lie to show it: those about one round number lie near that point of any coarser grid.
 FEWEST_ON_GRID = 20
 # Share of its step by which a reading may lie off the grid: the arithmetic of long numbers.
 OFF_GRID = 0.01
@@ -275,7 +275,8 @@ def estimate_written_step(columns: Sequence[np.ndarray]) -> float:
     leading = np.floor(np.log10(np.abs(written)))
     for digits in range(1, MOST_DIGITS + 1):
         last = 10.0 ** (leading - digits + 1)
-        if _is_whole(written / last):
+        points = np.unique(np.round(written / last) * last)
+        if len(points) >= FEWEST_ON_GRID and _is_whole(written / last):
             return float(np.sqrt(np.mean(last**2)))
     return 0.0
 
