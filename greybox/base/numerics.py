@@ -169,7 +169,8 @@ SUM_TO_ONE_WEIGHT = 1e3
 PHI_SERIES_BELOW = 0.5
 PHI_SERIES_TERMS = 14
 
-# A value this close to its bound, as a share of its range or scale, lies on it.
+# A value this close to its bound lies on it: a share of itself where its logarithm is searched for, else of the step that changes the
+# cost by about itself.
 AT_BOUND = 1e-6
 
 # A direction of first states with less than this share of the information of the best known one is taken to be as wide as this says.

@@ -42,7 +42,7 @@ class ParameterCovariance:
 
     ``kind``: ``gauss_newton`` (white residual) or ``sandwich`` (coloured residual); ``inflation`` (nf,): standard deviation over
     the one that a white residual of the same size would give; ``degrees`` of freedom of the variance behind it, infinite where
-    the noise was given and not exceeded. ``information`` and ``scores`` (nf, nf), both in ``z`` and with the initial states estimated
+    the noise was given and not exceeded, and zero where there are as many unknowns as readings: then no variance is known. ``information`` and ``scores`` (nf, nf), both in ``z`` and with the initial states estimated
     as well: curvature of half the data's cost, and the covariance of its slope; NaN for a constant at its bound.
     """
 
@@ -142,7 +142,11 @@ def estimate_covariance(
     projector[lost] = 0.0
     decomposition = decompose_symmetric(information + held)
     inverse = decomposition.pseudo_inverse
-    degrees = float(max(evaluation.count - colour.unknowns + int(variables.has_prior.sum()), 1))
+    freedom = evaluation.count - colour.unknowns + int(variables.has_prior.sum())
+    # As many unknowns as readings take the residual away, and with it all that it could say of the noise.
+    if freedom <= 0 and not problem.noise.known:
+        return replace(ParameterCovariance.unknown(variables), degrees=0.0)
+    degrees = float(max(freedom, 1))
     # Noise that was given, and not exceeded, is no estimate: intervals are normal. Else Student's, by the degrees
     # that the residual left.
     if problem.noise.known and (problem.variance_floor is not None or evaluation.squares.sum() <= degrees):

@@ -45,6 +45,7 @@ class EstimationCode(StrEnum):
     INPUT_COURSE_OPEN = "input_course_open"
     # What the constants and the residual say.
     MODEL_DOES_NOT_FOLLOW = "model_does_not_follow"
+    NO_FREEDOM = "no_freedom"
     DIRECTION_UNDETERMINED = "direction_undetermined"
     STOPPED_BY_BOUND = "stopped_by_bound"
     NARROWED_BY_BOUND = "narrowed_by_bound"
@@ -261,6 +262,9 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
         warn(EstimationCode.MODEL_DOES_NOT_FOLLOW, Severity.ERROR, best_fit=lost)
     result += _find_other_courses(optimum)
     # What the data leave open, and what only looks determined.
+    if covariance.degrees == 0:
+        count = sum(int(np.isfinite(r.y).sum()) for r in problem.records)
+        warn(EstimationCode.NO_FREEDOM, readings=count, unknowns=variables.size)
     for direction in covariance.open_directions:
         warn(EstimationCode.DIRECTION_UNDETERMINED, direction=dict(direction))
     tested = [test.name for test in optimum.tests]

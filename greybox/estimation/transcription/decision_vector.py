@@ -491,12 +491,9 @@ class DecisionVector:
     @property
     def active(self) -> np.ndarray:
         """Which free constants lie on a bound at ``z = 0`` (nf,)."""
-        width = self.high - self.low
-        # A share of the range where there is one; of a logarithmic constant, whose range may be decades, of its value.
-        reach = AT_BOUND * np.where(
-            np.isfinite(width) & ~self.logarithmic, width, np.maximum(np.abs(self.base), self.scale)
-        )
-        return (self.base - self.low <= reach) | (self.high - self.base <= reach)
+        # In units in which the records tell them apart, not in shares of a range that may be decades wider than what they tell.
+        low, high = (edges[: len(self.which)] for edges in self.bounds())
+        return (low >= -AT_BOUND) | (high <= AT_BOUND)
 
 
 class ExperimentView:
