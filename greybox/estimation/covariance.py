@@ -42,8 +42,9 @@ class ParameterCovariance:
 
     ``kind``: ``gauss_newton`` (white residual) or ``sandwich`` (coloured residual); ``inflation`` (nf,): standard deviation over
     the one that a white residual of the same size would give; ``degrees`` of freedom of the variance behind it, infinite where
-    the noise was given and not exceeded, and zero where there are as many unknowns as readings: then no variance is known. ``information`` and ``scores`` (nf, nf), both in ``z`` and with the initial states estimated
-    as well: curvature of half the data's cost, and the covariance of its slope; NaN for a constant at its bound.
+    the noise was given and not exceeded, and zero where there are as many unknowns as readings: then no variance is known.
+    ``information`` and ``scores`` (nf, nf), both in ``z`` and with the initial states estimated as well: curvature of half the data's
+    cost, and the covariance of its slope; NaN for a constant at its bound.
     """
 
     covariance: np.ndarray

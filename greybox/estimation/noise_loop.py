@@ -19,7 +19,7 @@ from greybox.estimation.optim.methods import MinimisationMethod, minimise
 from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Termination, TerminationPolicy
 from greybox.estimation.options import ColourTreatment, FitOptions, LossKind, Transcription
 from greybox.estimation.result_parts import RobustReport
-from greybox.estimation.sandwich import estimate_residual_colour
+from greybox.estimation.sandwich import LEAST_LEVEL_READINGS, estimate_residual_colour
 from greybox.estimation.transcription.collocation import solve_collocation
 from greybox.estimation.transcription.multiple_shooting import solve_multiple_shooting
 from greybox.estimation.transcription.plant_search import solve_plant
@@ -126,12 +126,14 @@ def _update_level(solution: Solution, options: FitOptions) -> EstimationProblem 
             for o, a in zip(problem.model.outputs, problem.noise.colour, strict=True)
         ]
     )
-    if problem.loss is not None or not untold.any():
+    if problem.loss is not None:
         return None
     counts, squares = np.maximum(evaluation.counts, 1), evaluation.squares
     if problem.noise.common:  # of all of them together
         shared = np.isin(np.arange(len(untold)), problem.noise.sharing)
         counts, squares = (np.where(shared, each[shared].sum(), each) for each in (counts, squares))
+    if len(counts) > 1:
+        untold &= counts >= LEAST_LEVEL_READINGS
     # Unbiased: the unknowns have taken their share of the residual, N / (N - p) gives it back.
     size = np.sqrt(squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
     ratio = np.where(untold & (size > 0), np.maximum(size, options.policy.noise.min_relative_level), 1.0)

@@ -66,6 +66,11 @@ class ResidualColour:
 LEAST_SAMPLES = 50
 
 
+# Readings of an output beside others from which its residual tells its noise. Fewer can be followed exactly by constants that the others
+# hardly need: weighed by their residual they would count ever more, and their noise would end at zero.
+LEAST_LEVEL_READINGS = 8
+
+
 def estimate_residual_colour(
     rows: Sequence[tuple[np.ndarray, np.ndarray]],
     unknowns: int,
@@ -89,8 +94,10 @@ def estimate_residual_colour(
         # Unknowns are shared by the outputs in the proportion of their samples.
         square = float(squares.sum()) / max(count, 1) * total / max(total - unknowns, 1)
         del squares
+        # Beside other outputs a handful of readings says nothing of their noise: it counts as what they are weighed with.
+        is_told = noise_given or (outputs > 1 and count < LEAST_LEVEL_READINGS)
         variances.append(
-            max(square, 1.0 if variance_floor is None else float(variance_floor[j])) if noise_given else square
+            max(square, 1.0 if variance_floor is None else float(variance_floor[j])) if is_told else square
         )
         counts.append(count)
         is_enough = count >= LEAST_SAMPLES

@@ -24,6 +24,13 @@ NOISE = {"states": ["v"], "balances": ["force"], "unit": "m/s^1.5", "upper_limit
 ONE, TWO = {"parameters": ["K"]}, {"parameters": ["K", "B"]}
 
 GOLDEN = [
+    (
+        EstimationCode.NO_FREEDOM,
+        "",
+        {"readings": 3, "unknowns": 3},
+        "3 readings for 3 constants and first states: nothing is left that would tell the noise, so no interval can be given; tell the"
+        " noise (--noise), or record more rows",
+    ),
     ("misfit_ratio", "x", {"ratio": 1.2, "without_outliers": False}, "misfit 1.2 times the noise in x"),
     (
         "misfit_ratio",
