@@ -20,6 +20,10 @@ from greybox.base import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
 from greybox.data.noise.noise_model import AutoRegression, NoisePolicy, fit_autoregression, join_series
 from greybox.estimation.options import DEFAULT_POLICY
 
+# Readings of an output beside others from which its residual tells its noise. Fewer can be followed exactly by constants that the others
+# hardly need: weighed by their residual they would count ever more, and their noise would end at zero.
+LEAST_LEVEL_READINGS = 8
+
 
 @dataclass(frozen=True)
 class ResidualColour:
@@ -47,12 +51,17 @@ class ResidualColour:
         return result
 
     def share_variance(self, outputs: Sequence[int]) -> ResidualColour:
-        """The same with one variance for all of these outputs, whose noise is one."""
-        if not outputs:
-            return self
+        """The same with one variance for all of these outputs, whose noise is one.
+
+        Beside others a handful of readings says nothing of their noise: it counts as what they are weighed with, at least.
+        """
         samples = sum(self.counts[j] for j in outputs)
         shared = sum(self.variance[j] * self.counts[j] for j in outputs) / max(samples, 1)
-        return replace(self, variance=tuple(shared if j in outputs else v for j, v in enumerate(self.variance)))
+        alone = [
+            max(v, 1.0) if len(self.counts) > 1 and 0 < n < LEAST_LEVEL_READINGS else v
+            for v, n in zip(self.variance, self.counts, strict=True)
+        ]
+        return replace(self, variance=tuple(shared if j in outputs else v for j, v in enumerate(alone)))
 
     @property
     def degrees(self) -> float:
@@ -64,11 +73,6 @@ class ResidualColour:
 
 # A residual of fewer samples shows no colour that could be told from chance: it counts as white.
 LEAST_SAMPLES = 50
-
-
-# Readings of an output beside others from which its residual tells its noise. Fewer can be followed exactly by constants that the others
-# hardly need: weighed by their residual they would count ever more, and their noise would end at zero.
-LEAST_LEVEL_READINGS = 8
 
 
 def estimate_residual_colour(
@@ -94,10 +98,8 @@ def estimate_residual_colour(
         # Unknowns are shared by the outputs in the proportion of their samples.
         square = float(squares.sum()) / max(count, 1) * total / max(total - unknowns, 1)
         del squares
-        # Beside other outputs a handful of readings says nothing of their noise: it counts as what they are weighed with.
-        is_told = noise_given or (outputs > 1 and count < LEAST_LEVEL_READINGS)
         variances.append(
-            max(square, 1.0 if variance_floor is None else float(variance_floor[j])) if is_told else square
+            max(square, 1.0 if variance_floor is None else float(variance_floor[j])) if noise_given else square
         )
         counts.append(count)
         is_enough = count >= LEAST_SAMPLES

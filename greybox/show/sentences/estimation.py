@@ -397,8 +397,8 @@ register(
             f"not determined by these data: {write_direction(f.values['direction'])}"
         ),
         EstimationCode.NO_FREEDOM: (
-            "{readings} readings for {unknowns} constants and first states: nothing is left that would tell the noise, so no interval can be"
-            " given; tell the noise (--noise), or record more rows"
+            "{readings} readings for {unknowns} constants and first states: nothing is left that would tell the noise, so no interval can"
+            " be given; tell the noise (--noise), or record more rows"
         ),
         EstimationCode.STOPPED_BY_BOUND: lambda f: (
             f"stopped by a bound: {', '.join(f.values['parameters'])}; widen the bound, or add the effect that the model lacks"

@@ -25,7 +25,7 @@ ONE, TWO = {"parameters": ["K"]}, {"parameters": ["K", "B"]}
 
 GOLDEN = [
     (
-        EstimationCode.NO_FREEDOM,
+        "no_freedom",
         "",
         {"readings": 3, "unknowns": 3},
         "3 readings for 3 constants and first states: nothing is left that would tell the noise, so no interval can be given; tell the"
