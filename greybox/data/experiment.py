@@ -28,6 +28,9 @@ from greybox.data.problems import (
 )
 from greybox.data.sensor_faults import inspect_signals
 
+# Rows before a record that it keeps, in sampling intervals: as long as a delay of an input may be (each is a column of the step's input).
+MAX_DELAY_ROWS = 200
+
 # The name of a record that nobody named.
 UNNAMED = "unnamed record"
 
@@ -64,6 +67,11 @@ class Experiment(Printable):
     noise
         Standard deviation of the sensor noise in each row, output -> array (N,), in the unit of the output; for outputs whose noise is
         not the same in all rows (a published table with error bars, a sensor that changes its range).
+    before
+        Input -> what it was before the first row, for models whose inputs act late: a number, or its values (K,) at ``before_ages``. An
+        input that is not named was what it is in the first row. A window keeps what the whole record has before it.
+    before_ages : array (K,)
+        How long before the first row these values were written, in s, falling; for numbers it is one interval.
 
     Attributes
     ----------
@@ -95,6 +103,8 @@ class Experiment(Printable):
     conditions: Mapping[str, float] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     noise: Mapping[str, np.ndarray] = field(default_factory=dict)
+    before: Mapping[str, np.ndarray] = field(default_factory=dict)
+    before_ages: np.ndarray = field(default_factory=lambda: np.zeros(0))
     sampling_time: float | None = field(init=False)
     fingerprint: str = field(init=False)
 
@@ -122,6 +132,8 @@ class Experiment(Printable):
             *_find_noise_problems(noise, outputs),
         ]
         raise_problems(f"experiment {self.name!r}", problems)
+        before, ages = _look_back(self.before, self.before_ages, time, inputs, problems)
+        raise_problems(f"experiment {self.name!r}", problems)
         courses = choose_courses(self.hold, inputs)
         alike = len(set(courses.values())) == 1
         values = {
@@ -132,6 +144,8 @@ class Experiment(Printable):
             "conditions": MappingProxyType({n: float(v) for n, v in self.conditions.items()}),
             "findings": tuple(self.findings),
             "noise": MappingProxyType(noise),
+            "before": MappingProxyType(before),
+            "before_ages": ages,
             "sampling_time": sampling.find_sampling_time(time),
             "fingerprint": _compute_fingerprint(time, inputs, outputs, noise),
         }
@@ -151,6 +165,8 @@ class Experiment(Printable):
         conditions: Mapping[str, float] | None = None,
         findings: tuple[Finding, ...] = (),
         noise: Mapping[str, ArrayLike] | None = None,
+        before: Mapping[str, ArrayLike] | None = None,
+        before_ages: ArrayLike = (),
         allow_constant_input: bool = False,
     ) -> Experiment:
         """A measured record from arrays in the model's units; what it shows of time and sensors goes to ``findings``.
@@ -165,7 +181,7 @@ class Experiment(Printable):
             As of `Experiment`.
         findings
             What is known of the record already; what is found here comes after.
-        noise
+        noise, before, before_ages
             As of `Experiment`.
         allow_constant_input
             Accept inputs that are zero throughout (free decay).
@@ -181,7 +197,8 @@ class Experiment(Printable):
             Besides what `Experiment` refuses: fewer than 2 rows, an output without any value, a record in which no output moves,
             and inputs that are all constant at zero unless ``allow_constant_input``.
         """
-        bare = cls(name, time, inputs, outputs, hold, source, conditions or {}, noise=noise or {})  # type: ignore[arg-type]
+        optional: dict[str, Any] = {"noise": noise or {}, "before": before or {}, "before_ages": before_ages}
+        bare = cls(name, time, inputs, outputs, hold, source, conditions or {}, **optional)  # type: ignore[arg-type]
         problems = find_measurement_problems(bare.inputs, bare.outputs, bare.rows, allow_constant_input)
         raise_problems(f"experiment {name!r}", problems)
         seen = inspect_signals(bare.time, bare.inputs, bare.outputs)
@@ -199,8 +216,10 @@ class Experiment(Printable):
 
     @property
     def identity(self) -> tuple[Any, ...]:
-        """What decides a run over the record: its data, the course of each input, and its conditions."""
-        return self.fingerprint, tuple(sorted(self.courses.items())), tuple(sorted(self.conditions.items()))
+        """What decides a run over the record: its data, the course of each input, what was before it, and its conditions."""
+        past = tuple((name, values.tobytes()) for name, values in sorted(self.before.items()))
+        courses, conditions = tuple(sorted(self.courses.items())), tuple(sorted(self.conditions.items()))
+        return self.fingerprint, courses, conditions, past, self.before_ages.tobytes()
 
     @property
     def rows(self) -> int:
@@ -235,6 +254,8 @@ class Experiment(Printable):
                 " give 0 <= start, stop <= rows and at least 2 rows"
             )
         cut = slice(start_row, stop_row)
+        earlier = slice(max(0, start_row - MAX_DELAY_ROWS), start_row)
+        known = len(self.before_ages)
         part = replace(
             self,
             name=f"{self.name}[{start_row}:{stop_row}]",
@@ -242,6 +263,8 @@ class Experiment(Printable):
             inputs={n: v[cut] for n, v in self.inputs.items()},
             outputs={n: v[cut] for n, v in self.outputs.items()},
             noise={n: v[cut] for n, v in self.noise.items()},
+            before={n: np.append(self.before.get(n, np.full(known, v[0])), v[earlier]) for n, v in self.inputs.items()},
+            before_ages=self.time[start_row] - np.concatenate([self.time[0] - self.before_ages, self.time[earlier]]),
         )
         return _with_sampling_time(part, self.sampling_time) if self.regular else part
 
@@ -410,6 +433,27 @@ def _to_read_only(what: str, values: ArrayLike, problems: list[str], rows: int |
         problems.append(f"{what} has {len(array)} rows, time has {rows}; each signal needs one value for each time")
     array.setflags(write=False)
     return array
+
+
+def _look_back(
+    before: Mapping[str, ArrayLike],
+    ages: ArrayLike,
+    time: np.ndarray,
+    inputs: Mapping[str, np.ndarray],
+    problems: list[str],
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """What is told of the inputs before the first row as arrays (K,), and their ages; what is wrong is added to ``problems``."""
+    given = {n: np.atleast_1d(np.asarray(v, float)) for n, v in before.items() if np.size(v)}
+    ages = np.array(ages, float) if np.size(ages) or not given else time[1:2] - time[:1]
+    problems += [f"before: there is no input {n!r}; {nearest(n, inputs)}" for n in given if n not in inputs]
+    for name, values in given.items():
+        if values.shape != ages.shape or not np.isfinite(values).all():
+            problems.append(
+                f"before: {name!r} is {values}; give a finite number, or one for each of the {len(ages)} ages"
+            )
+    if not (np.isfinite(ages).all() and np.all(np.diff(ages) < 0) and np.all(ages > 0)):
+        problems.append(f"before_ages are {ages}; give seconds above 0, falling")
+    return given, ages
 
 
 def _find_noise_problems(noise: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray]) -> list[str]:

@@ -9,9 +9,11 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from greybox.base import DataError, Finding, Severity, shorten
 from greybox.data.channels import ChannelTable
@@ -25,7 +27,7 @@ from greybox.data.columns import (
     read_conditions,
     request_conditions,
 )
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import MAX_DELAY_ROWS, Experiment
 from greybox.data.file_kinds import RecordFile, open_record_file
 from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME
@@ -52,6 +54,7 @@ def read_csv(
     name: str | None = None,
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
+    before: Mapping[str, float] | None = None,
     window: Window = WHOLE,
     reading: ReadingPolicy = READING_POLICY,
 ) -> Experiment:
@@ -89,6 +92,8 @@ def read_csv(
         (its mean is taken) or a comment line such as ``# P_S = 801 kPa``.
     allow_constant_input
         Accept inputs that are zero throughout (free decay).
+    before
+        Input -> what it was before the first row, for models whose inputs act late; None takes its first value.
     window
         First and last time that is wanted, None for all: seconds of the record's time, or a date or time of day where the file has them
         (``("2024-03-31 08:00", None)``). Times stay those of the whole record.
@@ -109,7 +114,7 @@ def read_csv(
     --------
     >>> record = read_csv("run.csv", micro_actuator, columns={"x": "Laser ch1 [um]"})  # doctest: +SKIP
     """
-    source = _RecordSource(columns, sampling_time, interpolation, reading)
+    source = _RecordSource(columns, sampling_time, interpolation, reading, dict(before or {}))
     (experiment,) = _read_runs(
         [path], [name], model, source, hold, conditions, allow_constant_input, window, split=False
     )
@@ -126,6 +131,7 @@ def read_experiments(
     interpolation: Mapping[str, Hold] | None = None,
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
+    before: Mapping[str, float] | None = None,
     split: bool = False,
     window: Window = WHOLE,
     reading: ReadingPolicy = READING_POLICY,
@@ -136,7 +142,7 @@ def read_experiments(
     ----------
     paths
         The files. Files of the same name get their folder's name in front.
-    model, columns, sampling_time, hold, interpolation, conditions, allow_constant_input, window, reading
+    model, columns, sampling_time, hold, interpolation, conditions, allow_constant_input, before, window, reading
         As of `read_csv`. Dated records count from the earliest of them.
     split
         A file in which time starts anew holds several runs; each becomes a record ``name[first:last]``.
@@ -154,7 +160,7 @@ def read_experiments(
     files = [Path(p) for p in ([paths] if isinstance(paths, (str, os.PathLike)) else paths)]
     if not files:
         raise DataError("no file to read; give at least one path")
-    source = _RecordSource(columns, sampling_time, interpolation, reading)
+    source = _RecordSource(columns, sampling_time, interpolation, reading, dict(before or {}))
     stems = [f.stem for f in files]
     names = [f.stem if stems.count(f.stem) == 1 else f"{f.parent.name}/{f.stem}" for f in files]
     return tuple(_read_runs(files, names, model, source, hold, conditions, allow_constant_input, window, split=split))
@@ -173,6 +179,9 @@ class RecordArrays(NamedTuple):
     courses: dict[str, Hold]
     findings: tuple[Finding, ...] = ()
     start: Start | None = None
+    before: Mapping[str, ArrayLike] = MappingProxyType({})
+    """What the inputs were before these rows, told or in the file, and how long before (as of `Experiment`)."""
+    before_ages: np.ndarray = np.zeros(0)
 
     def cut(self, window: Window) -> RecordArrays:
         """The rows within ``window``, with the times of the whole. Raises DataError for fewer than two, and for a limit that is no time."""
@@ -197,8 +206,17 @@ class RecordArrays(NamedTuple):
         inputs, outputs, conditions = (
             {n: v[part] for n, v in group.items()} for group in (self.inputs, self.outputs, self.conditions)
         )
+        earlier = slice(max(0, part.start - MAX_DELAY_ROWS), part.start)
+        known = {n: np.append(self.before.get(n, v[0]), v[earlier]) for n, v in self.inputs.items()}
+        ages = self.time[part.start] - np.append(2 * self.time[0] - self.time[1], self.time[earlier])
         return self._replace(
-            time=self.time[part], inputs=inputs, outputs=outputs, conditions=conditions, labels=self.labels.select(part)
+            time=self.time[part],
+            inputs=inputs,
+            outputs=outputs,
+            conditions=conditions,
+            labels=self.labels.select(part),
+            before=known if part.start else self.before,
+            before_ages=ages if part.start else self.before_ages,
         )
 
 
@@ -234,6 +252,7 @@ class _RecordSource(NamedTuple):
     sampling_time: float | None
     interpolation: Mapping[str, Hold] | None
     reading: ReadingPolicy
+    before: Mapping[str, float]
 
 
 def read_arrays(
@@ -247,6 +266,7 @@ def read_arrays(
     hold: Holds = "auto",
     interpolation: Mapping[str, Hold] | None = None,
     reading: ReadingPolicy = READING_POLICY,
+    before: Mapping[str, float] = MappingProxyType({}),
 ) -> RecordArrays:
     """The arrays of a file, unchecked; with ``inputs_only`` without outputs. Raises DataError.
 
@@ -334,6 +354,7 @@ def read_arrays(
         courses,
         findings,
         start,
+        before,
     )
 
 
@@ -422,6 +443,9 @@ def _to_experiments(
             source=file.name,
             conditions={**given, **from_file},
             findings=(*findings, *jumps),
+            # What the file has before its wanted rows is before the first run of them; what is told is before each.
+            before=record.before if rows.start == 0 or not len(record.before_ages) else None,
+            before_ages=record.before_ages if rows.start == 0 else (),
             allow_constant_input=allow_constant_input,
         )
         for (rows, t, u, _), (y, jumps) in zip(runs, unwrapped, strict=True)

@@ -65,6 +65,8 @@ def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.
                 experiment.hold,
                 dict(experiment.conditions),
                 {name: std for name, std in experiment.noise.items() if name in measured},
+                experiment.before,
+                experiment.before_ages,
             )
         )
     return tuple(result)

@@ -155,14 +155,26 @@ class Trace(ReadOnly):
     hold: Holds = "zero"
     conditions: Mapping[str, Finite] = field(default_factory=dict)
     noise: Mapping[str, np.ndarray] = field(default_factory=dict)
+    before: Mapping[str, np.ndarray] = field(default_factory=dict)
+    before_ages: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
-    KEYS: ClassVar[str] = "name fingerprint time measured simulated initial_state inputs hold conditions noise?"
+    KEYS: ClassVar[str] = (
+        "name fingerprint time measured simulated initial_state inputs hold conditions noise? before? before_ages?"
+    )
 
     @property
     def experiment(self) -> Experiment:
         """The record without the model's run."""
         return Experiment(
-            self.name, self.time, self.inputs, self.measured, self.hold, conditions=self.conditions, noise=self.noise
+            self.name,
+            self.time,
+            self.inputs,
+            self.measured,
+            self.hold,
+            conditions=self.conditions,
+            noise=self.noise,
+            before=self.before,
+            before_ages=self.before_ages,
         )
 
     def residual(self, output: str) -> np.ndarray:

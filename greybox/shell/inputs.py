@@ -168,6 +168,8 @@ def layout_of(study: Study) -> dict[str, Any]:
         layout["sampling_time"] = study.sampling_time
     if study.interpolation:
         layout["interpolation"] = dict(study.interpolation)
+    if study.before:
+        layout["before"] = dict(study.before)
     if study.read_limit:
         layout["reading"] = READING_POLICY.times(study.read_limit)
     return layout

@@ -145,7 +145,9 @@ def _signal(model: Model, chosen: Mapping[str, float], study: Study, generator: 
             raise GreyboxError("--band (not given): write it as LOW:HIGH in Hz, as in --band 5:800")
         u += chirp(time, *study.band, size) if shape == "chirp" else multisine(time, *study.band, size, generator)  # type: ignore[arg-type]
     inputs = {i.name: u if k == 0 else np.zeros(rows) for k, i in enumerate(model.inputs)}
-    return Experiment("simulated", time, inputs, {}, study.hold)  # type: ignore[arg-type]
+    # The plant was at rest in the offset before the signal began, and in zero on the other inputs.
+    before = {i.name: study.offset if k == 0 else 0.0 for k, i in enumerate(model.inputs)} | dict(study.before)
+    return Experiment("simulated", time, inputs, {}, study.hold, before=before)  # type: ignore[arg-type]
 
 
 SHAPES = (Study.step, Study.multisine, Study.chirp)
@@ -156,7 +158,16 @@ SIMULATE = Command(
     simulate,
     "Simulate a model and write a record.",
     (
-        *(Study.model, Study.input, Study.effects, Study.hold, Study.interpolation, Study.columns, Study.headers),
+        *(
+            Study.model,
+            Study.input,
+            Study.effects,
+            Study.hold,
+            Study.interpolation,
+            Study.before,
+            Study.columns,
+            Study.headers,
+        ),
         *(
             Study.read_limit,
             Study.method,

@@ -185,6 +185,9 @@ class Study:
         " carries the noise of a sensor, else zero.")
     interpolation = Option(kinds.Table("INPUT=COURSE", "u=first"), "--interpolate INPUT=COURSE", "interpolation.",
         "How an input moves between its samples, if not as --hold says: zero, first or band-limited.")
+    before = Option(kinds.Numbers("INPUT=VALUE", "u=0"), "--before INPUT=VALUE", "before.",
+        "What an input was before each record, in the model's unit, for models whose inputs act late. [default: its first value]",
+        completion.signals)
     at_rest = Option(kinds.Switch(), "--at-rest", "records.at_rest",
         "Start each record at the initial state of the model instead of estimating the initial state.")
     free_decay = Option(kinds.Switch(), "--free-decay", "records.free_decay",
@@ -502,7 +505,7 @@ class Command:
 # How records are read.
 READING = (
     *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit),
-    *(Study.hold, Study.interpolation, Study.split_holes, Study.free_decay),
+    *(Study.hold, Study.interpolation, Study.before, Study.split_holes, Study.free_decay),
 )
 # What every command takes that looks at a model with records.
 ESTIMATING = (

@@ -97,6 +97,7 @@ def _record_lines(study: Study, folder: Path) -> list[str]:
         "columns": list(study.headers) or dict(study.columns) or None,
         "sampling_time": study.sampling_time or None,
         "interpolation": dict(study.interpolation) or None,
+        "before": dict(study.before) or None,
     }
     how = {
         "hold": study.hold if study.hold != "auto" else None,

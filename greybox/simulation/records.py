@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,13 @@ from weakref import WeakKeyDictionary, WeakValueDictionary
 import numpy as np
 
 from greybox.base import TIME_ROUNDING, DataError, nearest
-from greybox.data.experiment import Experiment, number_unnamed_records, refuse_unknown_input, stack_signals
+from greybox.data.experiment import (
+    MAX_DELAY_ROWS,
+    Experiment,
+    number_unnamed_records,
+    refuse_unknown_input,
+    stack_signals,
+)
 from greybox.model import Model
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.plant import PlantModel, to_plant_record
@@ -88,11 +95,31 @@ def _lay_out(experiment: Experiment, inputs: Sequence[tuple[str, str, int]], out
     y = stack_signals([np.full(rows, np.nan) if values is None else values for values in measured], rows)
     courses = np.array([course for _, course, _ in inputs], str)
     if "band-limited" in courses:
-        return _to_finer_record(experiment, u, y, courses)
+        return _to_finer_record(experiment, u, y, inputs)
     lengths, row = _group_intervals(experiment.intervals)
     # Equal intervals take the memory of one.
     h = np.broadcast_to(lengths, row.shape) if len(lengths) == 1 else lengths[row]
-    return Record(u, y, h, row, lengths, courses != "zero")
+    spacing = float(np.median(experiment.intervals)) if len(h) else 1.0
+    return Record(u, y, h, row, lengths, courses != "zero", before=_find_rows_before(experiment, inputs, spacing))
+
+
+def _find_rows_before(
+    experiment: Experiment, inputs: Sequence[tuple[str, str, int]], spacing: float
+) -> np.ndarray | None:
+    """What is known of the inputs before the record, in rows (K, nu) ``spacing`` seconds apart, the latest last."""
+    ages = experiment.before_ages
+    if not len(ages):
+        return None
+    rows = min(MAX_DELAY_ROWS, max(1, math.ceil(ages[0] / spacing - TIME_ROUNDING)))
+    # Rows that are due at one time but for its rounding are that row.
+    times = -spacing * (np.arange(rows, 0, -1) - TIME_ROUNDING)
+    latest = np.maximum(np.searchsorted(-ages, times, side="right") - 1, 0)
+    columns = []
+    for name, course, _ in inputs:
+        first = experiment.inputs[name][:1]
+        known = np.append(experiment.before.get(name, np.full(len(ages), first[0])), first)
+        columns.append(known[latest] if course == "zero" else np.interp(times, np.append(-ages, 0.0), known))
+    return stack_signals(columns, rows)
 
 
 def _shift(values: np.ndarray, late: int) -> np.ndarray:
@@ -104,7 +131,10 @@ def _shift(values: np.ndarray, late: int) -> np.ndarray:
 BAND_LIMITED_POINTS = 12
 
 
-def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray, courses: np.ndarray) -> Record:
+def _to_finer_record(
+    experiment: Experiment, u: np.ndarray, y: np.ndarray, inputs: Sequence[tuple[str, str, int]]
+) -> Record:
+    courses = np.array([course for _, course, _ in inputs], str)
     if experiment.sampling_time is None:
         raise DataError(
             f"experiment {experiment.name!r}: a band-limited input needs uniform sampling; resample it or take hold='first'"
@@ -123,7 +153,9 @@ def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray, cours
     for j in np.flatnonzero(courses == "first"):
         finer[:, j] = np.interp(place, np.arange(len(u)), u[:, j])
     h = np.broadcast_to(length, (rows - 1,))
-    return Record(finer, measured, h, np.zeros(rows - 1), length, courses != "zero", rows_per_sample=points)
+    before = _find_rows_before(experiment, inputs, float(length[0]))
+    row = np.zeros(rows - 1)
+    return Record(finer, measured, h, row, length, courses != "zero", rows_per_sample=points, before=before)
 
 
 # Half the length of the interpolating filter, in intervals.

@@ -9,7 +9,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import casadi as ca
 import numpy as np
@@ -41,6 +41,7 @@ def read_inputs(
     sampling_time: float | None = None,
     hold: Holds = "auto",
     interpolation: Mapping[str, Hold] | None = None,
+    before: Mapping[str, float] | None = None,
     reading: ReadingPolicy = READING_POLICY,
 ) -> Experiment:
     """Read time and the inputs of a model from a file, to simulate where nothing was measured. Other columns are not read.
@@ -51,7 +52,7 @@ def read_inputs(
         The file, of a kind that `greybox.read_csv` reads.
     model
         Its inputs are looked for, and their units are those of the record.
-    columns, sampling_time, interpolation, reading
+    columns, sampling_time, interpolation, before, reading
         As of `greybox.read_csv`.
     hold
         How the inputs move between samples, see `greybox.Experiment`.
@@ -81,7 +82,8 @@ def read_inputs(
         raise_problems(file.name, find_array_problems(record.time, record.inputs, {}, labels))
     else:
         raise_problems(file.name, [f"{len(record.time)} rows; a record needs at least 2"])
-    return Experiment(file.stem, record.time, record.inputs, {}, record.courses, source=file.name)
+    standing: dict[str, Any] = dict(before or {})
+    return Experiment(file.stem, record.time, record.inputs, {}, record.courses, source=file.name, before=standing)
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,7 +46,7 @@ EVERYTHING = {
     "fit": (
         "fit.json",
         "micro_actuator {d}/train.csv {d}/second.csv --fix M=0.01 --fix Ra --start K=5678.9 --tie Kv=Kf --prior B=0.27+-0.013"
-        " --own La --noise x=2.1e-7 --validate {d}/test.csv --skip 13 --at-rest --loss huber:1.7 --predict 3 --hold first",
+        " --own La --noise x=2.1e-7 --validate {d}/test.csv --skip 13 --at-rest --loss huber:1.7 --predict 3 --hold first --before u=0",
     ),
     "process noise": (
         "fit.json",

@@ -53,10 +53,13 @@ def write_step(interval: DiscreteStep) -> str:
     ]
     return "\n".join(
         [
+            *(["#include <float.h>"] if interval.past else []),
             "#include <math.h>",
             "",
             "#define INLINE static",
             *(f"#define {name} {size}" for name, size in sizes.items()),
+            # Equal to itself whatever the compiler may assume of numbers, which NaN is not.
+            f"#define UNKNOWN {'DBL_MAX' if interval.past else '0'} /* an earlier input that nobody gave */",
             "",
             *(routine.text() for routine in routines),
             read_template("step.c"),
@@ -219,7 +222,7 @@ def _source(plant: ExportedModel, interval: DiscreteStep, header_name: str) -> s
         past=", ".join(f"state->{m}" for m in past) or "0",
         inputs=", ".join(f"input->{m}" for m in inputs) or "0",
         unused="" if inputs else "    (void)input;\n",
-        begin=assign("state", states, "x") + "".join(f"    state->{m} = 0;\n" for m in past),
+        begin=assign("state", states, "x") + "".join(f"    state->{m} = UNKNOWN;\n" for m in past),
         show=assign("output", outputs, "y"),
         keep=assign("state", states, "x") + assign("state", past, "past"),
     )
@@ -252,7 +255,10 @@ def _past_members(interval: DiscreteStep) -> list[tuple[str, str]]:
         return []
     late = interval.signals.inputs[interval.late_input]
     return [
-        (f"{late.name}_{k + 1}", f"[{format_unit(late.unit) or '-'}] {late.name} of {k + 1} steps ago")
+        (
+            f"{late.name}_{k + 1}",
+            f"[{format_unit(late.unit) or '-'}] {late.name} of {k + 1} steps ago; DBL_MAX: as in the first step",
+        )
         for k in range(interval.past)
     ]
 

@@ -66,6 +66,8 @@ static void begin(Run *run)
     for (int i = 0; i < NX; i++)
         if (!run->set[i])
             run->x[i] = x[i];
+    for (int i = 0; i < PAST; i++)
+        run->past[i] = UNKNOWN;
 }
 
 static void reset(Run *run)

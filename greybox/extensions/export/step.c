@@ -6,7 +6,7 @@ static void fill(double *row, const double *u, const double *past, double share,
     for (int i = 0; i < NU; i++)
         row[i] = u[i];
     for (int i = 0; i < PAST; i++)
-        row[NU + i] = past[i];
+        row[NU + i] = past[i] == UNKNOWN ? u[LATE] : past[i];
     if (PAST) { /* how much of the interval has gone by, no ramp, how long it is */
         row[COLUMNS - 3] = share;
         row[COLUMNS - 2] = 0;
@@ -20,6 +20,9 @@ static void interval(double *x, double *past, const double *u, const double *q, 
     double begin[COLUMNS], end[COLUMNS], next[NX];
     const double h = length / SUBSTEPS;
 
+    for (int i = 0; i < PAST; i++)
+        if (past[i] == UNKNOWN) /* before the first step the input was what it is in it */
+            past[i] = u[LATE];
     fill(begin, u, past, 0, length);
     prepare_advance(&once, x, begin, begin, q, &h);
     for (int j = 0; j < SUBSTEPS; j++) {

@@ -2,8 +2,8 @@
 
 With a delay of ``n + f`` intervals the input arriving during an interval is the end of the input of ``n + 1`` intervals ago for the
 share ``f`` of it, and then the beginning of that of ``n`` intervals ago. The step is cut where the two meet, so nothing is lost of the
-method's order, and what comes out is continuous in the delay and has a slope along it. Before the first row the input is zero;
-one that is linear between rows rises from there to its first value during the interval before the first row.
+method's order, and what comes out is continuous in the delay and has a slope along it. Before the first row the input is what was
+recorded or stated there (`greybox.data.Experiment`), and before that, or where nothing was, its first known value.
 
 Where rows lie unevenly, an interval may see two rows or none arrive. It is cut at the first; what a held input brings after that is
 taken as its mean, and of a linear one the line to its end.
@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import TIME_ROUNDING, ModelError
+from greybox.data.experiment import MAX_DELAY_ROWS
 from greybox.model import System
 from greybox.simulation.integrators.step import AdvanceFunction, InputHistory
 
@@ -28,8 +29,6 @@ FLAG_COLUMNS = ("parity", "linear", "length")
 linear between rows, and the interval's length in seconds."""
 
 
-# Longest delay of an input in sampling intervals: each interval adds a column to the input of the step.
-MAX_DELAY_ROWS = 200
 # Share of the lengths of the intervals that may be shorter than the one that says how many of them fit into a delay: with a few that are
 # much shorter (two stamps of one sample) as many others are between.
 SHORT_INTERVALS = 0.1
@@ -64,24 +63,28 @@ def count_history_columns(past: InputHistory | None) -> int:
     return 0 if past is None else past.rows * (1 + past.uneven) + len(FLAG_COLUMNS)
 
 
-def add_input_history(u: np.ndarray, intervals: np.ndarray, past: InputHistory, first_order: bool) -> np.ndarray:
-    """Inputs (N, nu) and, in each row, the delayed input 1, 2, ... rows ago (zero before the first row) and the flags.
+def add_input_history(
+    u: np.ndarray, intervals: np.ndarray, past: InputHistory, first_order: bool, before: np.ndarray | None = None
+) -> np.ndarray:
+    """Inputs (N, nu) and, in each row, the delayed input 1, 2, ... rows ago and the flags.
 
     ``intervals`` are the lengths (N - 1,) between the rows in s. Where they differ each row also says how long ago these rows were, in
-    intervals of its own length.
+    intervals of its own length. ``before``: rows (K, nu) before the first, the latest last, a usual interval from each to the next; what
+    was before all that is known is its first value.
     """
     rows, width = len(u), u.shape[1] + past.rows
     length = np.append(intervals, intervals[-1:] if len(intervals) else 1.0)
-    earlier = np.concatenate([np.zeros(past.rows), u[:, past.column]])
+    known = u[:, past.column] if before is None else np.concatenate([before[-past.rows :], u])[:, past.column]
+    # The plant stood in its input long before the record: u(t) = u(0) for t < 0.
+    earlier = np.concatenate([np.full(past.rows + rows - len(known), known[0]), known])
     # Column by column into what is returned: a long past is many times the record.
     table = np.empty((rows, u.shape[1] + count_history_columns(past)))
     table[:, : u.shape[1]] = u
     for k in range(past.rows):
         table[:, u.shape[1] + k] = earlier[past.rows - 1 - k :][:rows]
     if past.uneven:
-        # Before the record its first interval repeats itself.
         start = np.concatenate([[0.0], np.cumsum(intervals)])
-        time = np.concatenate([-length[0] * np.arange(past.rows, 0, -1), start])
+        time = np.concatenate([-np.median(length) * np.arange(past.rows, 0, -1), start])
         for k in range(past.rows):
             table[:, width + k] = (start - time[past.rows - 1 - k :][:rows]) / length
     table[:, -len(FLAG_COLUMNS) :] = np.column_stack([np.arange(rows) % 2, np.full(rows, float(first_order)), length])

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from greybox.base import DataError
+from greybox.data.experiment import MAX_DELAY_ROWS
 from greybox.simulation.integrators.input_delay import add_input_history
 from greybox.simulation.integrators.step import Step
 
@@ -53,6 +54,9 @@ class Record:
 
     log_std: np.ndarray | None = None
     """Standard deviation of the logarithm of each output (ny,), NaN for those whose error is that of the reading; None: all of them."""
+
+    before: np.ndarray | None = None
+    """The inputs (K, nu) in rows before the first, a usual interval (`period`) apart, the latest last; None where nothing is known."""
 
     def __post_init__(self) -> None:
         for name in ("u", "y", "h", "row", "lengths"):
@@ -115,12 +119,22 @@ class Record:
     def cut(self, first: int, end: int) -> Record:
         """Rows ``first`` up to but without ``end``, both of them samples where there are rows between these."""
         rows, intervals = slice(first, end), slice(first, end - 1)
+        # What was before a part is in the whole; with uneven rows the latest are taken to lie a usual interval apart.
+        known = self.u[max(0, first - MAX_DELAY_ROWS) : first]
+        if self.before is not None:
+            known = np.concatenate([self.before, known])
         spread = None
         if self.spread is not None:
             per = self.rows_per_sample
             spread = self.spread[first // per : -(-end // per)]
         return replace(
-            self, u=self.u[rows], y=self.y[rows], h=self.h[intervals], row=self.row[intervals], spread=spread
+            self,
+            u=self.u[rows],
+            y=self.y[rows],
+            h=self.h[intervals],
+            row=self.row[intervals],
+            spread=spread,
+            before=known if len(known) else None,
         )
 
     def scale_errors(self, errors: np.ndarray, slopes: np.ndarray, weight: np.ndarray) -> None:
@@ -157,7 +171,7 @@ class Record:
         record = self if step.per_interval else replace(self, row=np.zeros_like(self.row))
         if step.past is None:
             return record
-        u = add_input_history(self.u, self.h, step.past, bool(self.is_linear[step.past.column]))
+        u = add_input_history(self.u, self.h, step.past, bool(self.is_linear[step.past.column]), self.before)
         # What was added runs straight from row to row: a step tells by it which of its substeps it is.
         added = np.ones(u.shape[1] - len(self.is_linear))
-        return replace(record, u=u, is_linear=np.concatenate([self.is_linear, added]))
+        return replace(record, u=u, before=None, is_linear=np.concatenate([self.is_linear, added]))

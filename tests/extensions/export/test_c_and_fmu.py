@@ -215,7 +215,7 @@ def test_the_header_says_what_the_numbers_are(tmp_path):
     text = header.read_text()
     assert "M dv/dt = Kf i - B v" in text and "stribeck_friction holds up to max(Fs, Fc)" in text
     assert "double v;   /* [m/s] velocity of the moving link, eq. 9 */" in text
-    assert "double u_2; /* [V] u of 2 steps ago */" in text
+    assert "double u_2; /* [V] u of 2 steps ago; DBL_MAX: as in the first step */" in text
     assert "  Ra     8.0" in text and "assumed, plausible" in text
     assert "#define MICRO_ACTUATOR_SAMPLING_TIME 0.00025 /* s */" in text
 

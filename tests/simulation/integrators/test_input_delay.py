@@ -56,9 +56,9 @@ def runs_exactly(model, time, u, delays, first_order):
 
 def arrivals(time, u, seconds, first_order):
     """The moments at which something arrives, and the input at ``t`` with its slope in the piece around ``middle``."""
-    # Before the record the input is zero; a line leads to its first row from one row before it.
+    # Before the record the input is what it is in its first row.
     edges = np.append(2 * time[0] - time[1], time) + seconds
-    known = np.append(0.0, u)
+    known = np.append(u[0], u)
     cuts = np.unique(np.concatenate([time, edges]))
     # Two moments of rounding apart are one.
     cuts = cuts[np.append(True, np.diff(cuts) > 1e-13) | np.isin(cuts, time)]
@@ -67,7 +67,7 @@ def arrivals(time, u, seconds, first_order):
     def course(t, middle):
         k = np.searchsorted(edges, middle) - 1
         if k < 0:
-            return 0.0, 0.0
+            return u[0], 0.0
         slope = first_order * (known[k + 1] - known[k]) / (edges[k + 1] - edges[k]) if k + 1 < len(edges) else 0.0
         return known[k] + slope * (t - edges[k]), slope
 
@@ -160,7 +160,11 @@ def test_an_output_that_shows_the_input_shows_the_delayed_one():
         + delay()
     )
     for method in ("exact", "rk4"):
-        for intervals, expected in ((0.0, INPUT), (1.0, np.r_[0, INPUT[:-1]]), (1.7, np.r_[0, 0, INPUT[:-2]])):
+        for intervals, expected in (
+            (0.0, INPUT),
+            (1.0, np.r_[INPUT[0], INPUT[:-1]]),
+            (1.7, np.r_[INPUT[0], INPUT[0], INPUT[:-2]]),
+        ):
             model = at_delay(seen, intervals)
             step = discretise(model.system, values(model), np.zeros((1, 3)), np.array([T]), method=method)
             assert np.array_equal(path(step, record(INPUT, T), values(model), np.zeros(3))[0][:, 0], expected)
@@ -168,7 +172,7 @@ def test_an_output_that_shows_the_input_shows_the_delayed_one():
     line = path(
         exact_hold(model.system, InputHistory(0, 4)), record(INPUT, T, first_order=True), values(model), np.zeros(3)
     )[0][:, 0]
-    assert np.allclose(line, np.interp(np.arange(ROWS) - 1.7, np.arange(-3, ROWS), np.r_[0, 0, 0, INPUT]))
+    assert np.allclose(line, np.interp(np.arange(ROWS) - 1.7, np.arange(ROWS), INPUT))
 
 
 def test_a_delay_goes_together_with_dry_friction_and_other_changes_of_the_input():
@@ -177,12 +181,15 @@ def test_a_delay_goes_together_with_dry_friction_and_other_changes_of_the_input(
     plain = plain.start(u0=0.4)
     late = at_delay(plain + delay(), 2.0)
     step = {m: discretise(m.system, values(m), np.zeros((1, 3)), np.array([T]), substeps=16) for m in (plain, late)}
-    expected = path(step[plain], record(np.r_[0, 0, INPUT[:-2]], T, 2), values(plain), np.zeros(3))[1]
+    expected = path(step[plain], record(np.r_[INPUT[[0, 0]], INPUT[:-2]], T, 2), values(plain), np.zeros(3))[1]
     fine = discretise(plain.system, values(plain), np.zeros((1, 3)), np.array([T]), substeps=8)
     found = path(step[late], record(INPUT, T, 2), values(late), np.zeros(3))[1]
     # with a whole number of intervals all the way lies after the cut: half of the substeps cover the interval
     assert np.allclose(
-        found, path(fine, record(np.r_[0, 0, INPUT[:-2]], T, 2), values(plain), np.zeros(3))[1], rtol=1e-9, atol=1e-15
+        found,
+        path(fine, record(np.r_[INPUT[[0, 0]], INPUT[:-2]], T, 2), values(plain), np.zeros(3))[1],
+        rtol=1e-9,
+        atol=1e-15,
     )
     assert np.abs(found - expected).max(axis=0)[0] < 1e-4 * np.abs(expected[:, 0]).max()
 
@@ -283,7 +290,7 @@ def test_missing_rows_are_uneven_too():
     step = discretise(model.system, values(model), np.zeros((1, 3)), uneven.lengths)
     assert step.past == (0, 4, True)
     table = uneven.read_by(step).u
-    assert np.allclose(table[3, 1:5], [4, 2, 1, 0]) and np.allclose(table[3, 5:9], [2, 3, 4, 5])
+    assert np.allclose(table[3, 1:5], [4, 2, 1, 1]) and np.allclose(table[3, 5:9], [2, 3, 4, 5])
     assert np.allclose(table[2, 5:9], [0.5, 1.0, 1.5, 2.0])
     with pytest.raises(ModelError, match="the exact hold with a delayed input needs one sampling time"):
         discretise(model.system, values(model), np.zeros((1, 3)), uneven.lengths, method="exact")
