@@ -143,6 +143,8 @@ class Trace(ReadOnly):
         What stayed the same while it was taken.
     noise
         Standard deviation of each row (N,), of the outputs whose noise the record tells row by row.
+    before, before_ages
+        Inputs by name (K,) before the first row, and how long before it (K,) in s.
     """
 
     name: str
