@@ -357,6 +357,11 @@ class Experiment(Printable):
         return _restore, (values, self.sampling_time)
 
 
+def find_usual_interval(experiments: Iterable[Experiment]) -> float:
+    """Seconds between the rows of the slowest record."""
+    return max(float(np.median(e.intervals)) for e in experiments)
+
+
 def stack_signals(signals: Sequence[np.ndarray], rows: int) -> np.ndarray:
     """Signals (N,) as columns (N, n); a single one is not copied."""
     if len(signals) == 1:

@@ -10,7 +10,13 @@ from functools import reduce
 import numpy as np
 
 from greybox.base import Finding, FitError, ModelError, Severity, nearest, read_versions
-from greybox.data.experiment import Experiment, as_records, collect_record_findings, refuse_long_time_gaps
+from greybox.data.experiment import (
+    Experiment,
+    as_records,
+    collect_record_findings,
+    find_usual_interval,
+    refuse_long_time_gaps,
+)
 from greybox.data.findings import RecordCode
 from greybox.data.identity import mark_fitted, refuse_repeated
 from greybox.data.noise import GrowingNoise, NoiseModel, NoiseSource
@@ -58,7 +64,7 @@ from greybox.estimation.transcription.problem import (
 from greybox.estimation.validate import validate
 from greybox.model import Model, equations_text
 from greybox.model.definition import declare
-from greybox.model.effects.scales import measure_scales
+from greybox.model.effects.scales import bound_delays, measure_scales
 from greybox.model.effects.starts import MANY_SHAPES_STARTS, count_starts, is_neutral, list_effect_values
 from greybox.simulation.plant import Plant, as_model
 from greybox.simulation.plant_kernel import PlantKernel
@@ -164,6 +170,8 @@ def fit(
     held = [q.name for q in model.parameters if q.fixed and q.prior is not None]
     model.require_unchanged()
     refuse_repeated(as_records(experiments))
+    # A delay may be as long as the records show it, where nobody has bounded it.
+    model = bound_delays(model, find_usual_interval(to_experiments(experiments)))
     # Refused before the work is done, and not after it.
     judges = mark_fitted(to_experiments(validation), as_records(experiments)) if validation else ()
     optimum: Optimum

@@ -44,9 +44,13 @@ def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.
     result = []
     for experiment, record, (y, x) in zip(problem.experiments, problem.records, runs, strict=True):
         y, x, seen, given = (record.samples(rows) for rows in (y, x, record.y, record.u))
+        unknown = record.count_unknown_rows(problem.step) // record.rows_per_sample
+        if unknown:
+            seen = seen.copy()
+            seen[:unknown] = np.nan
         # The signals of the record themselves, which no one has to copy; what it lacks is a column of its own.
         measured = {
-            o.name: experiment.outputs.get(o.name, seen[:, j])
+            o.name: seen[:, j] if unknown else experiment.outputs.get(o.name, seen[:, j])
             for j, o in enumerate(problem.model.outputs)
             if np.isfinite(seen[:, j]).any()
         }

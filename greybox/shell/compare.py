@@ -57,7 +57,7 @@ def compare(study: Study) -> Answer:
     inputs.check_substeps(study, models[0])
     folder = inputs.result_folder(study, plain.name)
     records, validation = inputs.read_records(study, plain)
-    models = [inputs.with_delays_of_records(model, records) for model in models]
+    models = [inputs.with_delays_of_records(model, records, study) for model in models]
     quiet = inputs.read_quiet_records(study, plain, hold=study.hold)
     inputs.check_skip(study, validation)
     inputs.check_prediction_steps(study, records, validation)

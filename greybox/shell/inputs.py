@@ -45,18 +45,21 @@ def add_effects(model: Model, names: Iterable[str]) -> Model:
     return model
 
 
-def with_delays_of_records(model: Model, records: Iterable[Experiment]) -> Model:
-    """``model`` whose delays may be as long as these records can show, where the user did not bound them."""
-    import numpy as np
+def with_delays_of_records(model: Model, records: Sequence[Experiment], study: Study) -> Model:
+    """``model`` whose delays may be as long as these records can show, where the user did not bound them, and start as ``study`` says."""
+    from greybox.data.experiment import find_usual_interval
+    from greybox.model.effects.scales import bound_delays, list_untailored_delays
 
-    from greybox.model.effects.scales import bound_delays
-
-    periods = [float(np.median(record.intervals)) for record in records]
-    return bound_delays(model, max(periods)) if periods else model
+    waiting = list_untailored_delays(model)
+    model = bound_delays(model, find_usual_interval(records))
+    known = {n: v for n, v in study.fixed.items() if n in waiting and v is not None}
+    return model.start(**{n: v for n, v in study.start.items() if n in waiting}).fix(**known)
 
 
 def set_parameters(model: Model, study: Study) -> Model:
     """``model`` with parameters freed, started and fixed as the study has it. Raises ModelError."""
+    from greybox.model.effects.scales import list_untailored_delays
+
     known = {name: value for name, value in study.fixed.items() if value is not None}
     as_declared = [name for name, value in study.fixed.items() if value is None]
     for other, names in (("start", known.keys() & study.start.keys()), ("free", study.fixed.keys() & set(study.free))):
@@ -64,7 +67,11 @@ def set_parameters(model: Model, study: Study) -> Model:
             raise ModelError(
                 f"{', '.join(sorted(names))}: {study.label('fixed')} and {study.label(other)} contradict each other; keep one"
             )
-    return model.free(*study.free).start(**study.start).fix(*as_declared, **known)
+    model = model.free(*study.free)
+    # A delay that only the records bound has its value when they are read.
+    waiting = list_untailored_delays(model) if study.estimation else ()
+    start, known = ({n: v for n, v in values.items() if n not in waiting} for values in (study.start, known))
+    return model.start(**start).fix(*as_declared, **known)
 
 
 def _apply_process_noise(model: Model, process_noise: Mapping[str, float | None]) -> Model:

@@ -20,9 +20,6 @@ def study_script(study: Study, path: Path, *, searched: Study | None = None) -> 
     """
     folder = path.absolute().parent
     body = [*_model_lines(study, folder), "", *_record_lines(study, folder), ""]
-    if any(effect_has_delay(name) for name in study.effects):
-        body += ["longest = max(float(np.median(record.intervals)) for record in records)"]
-        body += ["model = gb.effects.bound_delays(model, longest)", ""]
     body += _fit_lines(study)
     if searched is not None:
         body += ["", *_model_lines(searched, folder, "plain"), "", *_discover_lines(searched)]
@@ -35,14 +32,6 @@ def study_script(study: Study, path: Path, *, searched: Study | None = None) -> 
     imports += ["from greybox.shell.own_effects import find_effect"] * ("find_effect(" in text)
     head = [f'"""Repeats a study. Run with: python {path.name}. Numbers are in the units of the model."""', ""]
     return "\n".join([*head, *imports, "", f"{FOLDER} = Path(__file__).resolve().parent", "", text, ""])
-
-
-def effect_has_delay(name: str) -> bool:
-    """Whether an effect of the catalogue delays an input, so that the records bound how long it may be."""
-    from greybox.model.effects.catalogue import all_effects
-    from greybox.model.effects.placement import AT
-
-    return any(e.delay is not None for e in all_effects() if e.name == name.partition(AT)[0])
 
 
 def _is_shipped(name: str) -> bool:

@@ -18,6 +18,7 @@ from greybox.data.experiment import (
     refuse_unknown_input,
     stack_signals,
 )
+from greybox.data.sampling import find_time_gaps
 from greybox.model import Model
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.plant import PlantModel, to_plant_record
@@ -106,7 +107,7 @@ def _lay_out(experiment: Experiment, inputs: Sequence[tuple[str, str, int]], out
 def _find_rows_before(
     experiment: Experiment, inputs: Sequence[tuple[str, str, int]], spacing: float
 ) -> np.ndarray | None:
-    """What is known of the inputs before the record, in rows (K, nu) ``spacing`` seconds apart, the latest last."""
+    """What is known of the inputs before the record, in rows (K, nu) ``spacing`` seconds apart, the latest last; NaN in gaps."""
     ages = experiment.before_ages
     if not len(ages):
         return None
@@ -114,11 +115,14 @@ def _find_rows_before(
     # Rows that are due at one time but for its rounding are that row.
     times = -spacing * (np.arange(rows, 0, -1) - TIME_ROUNDING)
     latest = np.maximum(np.searchsorted(-ages, times, side="right") - 1, 0)
+    # Nobody recorded what the input was in a gap.
+    unknown = np.isin(latest, find_time_gaps(np.append(-ages, 0.0))) & (times + ages[latest] > spacing)
     columns = []
     for name, course, _ in inputs:
         first = experiment.inputs[name][:1]
         known = np.append(experiment.before.get(name, np.full(len(ages), first[0])), first)
-        columns.append(known[latest] if course == "zero" else np.interp(times, np.append(-ages, 0.0), known))
+        past = known[latest] if course == "zero" else np.interp(times, np.append(-ages, 0.0), known)
+        columns.append(np.where(unknown, np.nan, past))
     return stack_signals(columns, rows)
 
 

@@ -27,7 +27,7 @@ def test_models_of_the_same_records_share_one_layout():
 
 def test_an_effect_that_holds_the_input_otherwise_has_a_layout_of_its_own():
     record = experiment()
-    held = replace(gb.effect("coulomb_friction"), hold="band-limited")
+    held = replace(gb.effect("linear_input"), hold="band-limited")
     assert to_record(micro_actuator + held, record).rows_per_sample > 1
     assert to_record(micro_actuator, record).rows_per_sample == 1
 

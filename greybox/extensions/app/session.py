@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from greybox.base import DataError, ModelError
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, find_usual_interval
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
@@ -137,9 +137,7 @@ class Session:
     @property
     def model_to_fit(self) -> Model:
         """The model, its delays bounded as the records can show them."""
-        # As the slowest of the records shows them.
-        periods = [float(np.median(record.intervals)) for record in self.estimation]
-        return bound_delays(self.model, max(periods)) if periods else self.model
+        return bound_delays(self.model, find_usual_interval(self.estimation)) if self.estimation else self.model
 
     def with_values(self, values: Mapping[str, float]) -> Session:
         """With other values of constants. Raises ModelError for unknown names and values outside their bounds."""

@@ -309,13 +309,18 @@ def bound_delays(model: Model, period: float) -> Model:
     Model
         The same model, or one with other bounds of its delays.
     """
-    for bound in model.bound_effects:
-        if not bound.effect.delay:
-            continue
-        for inner, outer in zip(bound.effect.parameters, bound.parameters, strict=True):
-            if inner.name in bound.effect.amplitudes and inner.bounds == UNTAILORED_DELAY and not outer.fixed:
-                model = model.bound(**{outer.name: (0.0, LONGEST_DELAY * period)})
-    return model
+    return model.bound(**dict.fromkeys(list_untailored_delays(model), (0.0, LONGEST_DELAY * period)))
+
+
+def list_untailored_delays(model: Model) -> tuple[str, ...]:
+    """The delays of a model that are not fixed and whose bounds are still the catalogue's."""
+    return tuple(
+        outer.name
+        for bound in model.bound_effects
+        if bound.effect.delay
+        for inner, outer in zip(bound.effect.parameters, bound.parameters, strict=True)
+        if inner.name in bound.effect.amplitudes and inner.bounds == UNTAILORED_DELAY and not outer.fixed
+    )
 
 
 def _peak(values: np.ndarray) -> float:

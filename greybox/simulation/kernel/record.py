@@ -166,12 +166,23 @@ class Record:
         """Of an array with one entry for each row (N, ...) the entries that are samples."""
         return values[:: self.rows_per_sample]
 
+    def count_unknown_rows(self, step: Step) -> int:
+        """How many of the first rows an input may still reach that nobody recorded: they do not count."""
+        if step.past is None or self.before is None:
+            return 0
+        ago = len(self.before) - np.flatnonzero(np.isnan(self.before[:, step.past.column]))
+        return max(step.past.rows + 1 - int(ago[-1]), 0) if len(ago) else 0
+
     def read_by(self, step: Step) -> Record:
         """The record as ``step`` reads it: one row of coefficients where one is enough, the past of a delayed input beside the inputs."""
         record = self if step.per_interval else replace(self, row=np.zeros_like(self.row))
         if step.past is None:
             return record
-        u = add_input_history(self.u, self.h, step.past, bool(self.is_linear[step.past.column]), self.before)
+        before, y = self.before, self.y
+        if unknown := self.count_unknown_rows(step):
+            before, y = np.where(np.isnan(before), self.u[:1], before), y.copy()  # type: ignore[arg-type]
+            y[:unknown] = np.nan
+        u = add_input_history(self.u, self.h, step.past, bool(self.is_linear[step.past.column]), before)
         # What was added runs straight from row to row: a step tells by it which of its substeps it is.
         added = np.ones(u.shape[1] - len(self.is_linear))
-        return replace(record, u=u, before=None, is_linear=np.concatenate([self.is_linear, added]))
+        return replace(record, u=u, y=y, before=None, is_linear=np.concatenate([self.is_linear, added]))

@@ -208,7 +208,7 @@ def test_the_commands_take_an_fmu(plants, tmp_path):
 def test_an_effect_inside_the_fmu_is_refused(fitted):
     with pytest.raises(ModelError, match=r"coulomb_friction' acts inside, .* at its inputs and outputs \(F, x, v\)"):
         fitted.model + gb.effect("coulomb_friction")
-    with pytest.raises(ModelError, match="says what inputs do between rows"):
+    with pytest.raises(ModelError, match="says how a record holds an input"):
         fitted.model + gb.effect("linear_input")
     with pytest.raises(ModelError, match="needs equations; leave out laws"):
         gb.discover(fitted.model, mass_record(0), validation=mass_record(1), laws=True)

@@ -219,7 +219,7 @@ def refused(changed):
         ),
         (
             Effect("late", "force", [Parameter("delay", "s", 0.0, (0, 1))], delay=lambda x, u, p: p.delay),
-            "delays 'force', which is not an input",
+            "acts at inputs, and 'force' is a balance",
         ),
         (
             Effect("late", "input", [Parameter("c", "1/V", 0.0, (0, 1))], delay=lambda x, u, p: p.c * u.u),

@@ -1,0 +1,95 @@
+"""What an input was before a record: its first value, what is told, or what a longer record holds; against a closed form."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox import Balance, Input, Model, Output, Parameter, State
+
+STEP, DELAY, TAU = 0.02, 0.13, 0.2
+
+
+def lag(level=0.0):
+    model = Model(
+        "lag",
+        [State("x", "K", level)],
+        [Input("u", "K"), Input("d", "K")],
+        [Output("x", "K")],
+        [Parameter("tau", "s", TAU, (1e-3, 10.0)), Parameter("share", "1", 0.5, fixed=True)],
+        lambda x, u, p: [Balance("mixing", "K", p.tau, "x", inlet=u.u, side=p.share * u.d, outlet=-x.x)],
+    )
+    return (model + gb.effect("transport_delay")).bound(delay=(0.0, 0.3)).start(delay=DELAY)
+
+
+def exact(u, d, before, start):
+    """The lag under held inputs, ``u`` late by six and a half rows: the exact step of each half interval."""
+    late = np.concatenate([np.full(7, before), u])
+    x, half = [start], np.exp(-STEP / 2 / TAU)
+    for k in range(len(u) - 1):
+        for part in (late[k], late[k + 1]):
+            target = part + 0.5 * d[k]
+            x.append(target + (x[-1] - target) * half)
+    return np.array(x[::2])
+
+
+def drive(level, rows=300, seed=1):
+    rng = np.random.default_rng(seed)
+    steps = np.repeat(rng.normal(size=rows // 15), 15)
+    steps[:15] = 0.0
+    return level + steps, 0.3 * np.repeat(rng.normal(size=rows // 10), 10)
+
+
+@pytest.mark.parametrize("level", [0.0, 330.0, -5.0])
+@pytest.mark.parametrize("told", [None, 7.0])
+def test_a_run_begins_with_what_the_input_was(level, told):
+    u, d = drive(level)
+    record = gb.Experiment(
+        "run", STEP * np.arange(len(u)), {"u": u, "d": d}, {}, before={} if told is None else {"u": told}
+    )
+    run = gb.simulate(lag(level), record)
+    expected = exact(u, d, u[0] if told is None else told, level)
+    assert run.outputs["x"] == pytest.approx(expected, abs=1e-6 * max(1.0, abs(level)))
+
+
+def test_a_constant_input_changes_nothing():
+    flat = np.full(50, 5.0)
+    run = gb.simulate(lag(5.0), {"time": STEP * np.arange(50), "u": flat, "d": 0 * flat})
+    assert run.outputs["x"] == pytest.approx(flat, abs=1e-12)
+
+
+@pytest.mark.parametrize("level", [0.0, 330.0])
+def test_the_delay_of_a_plant_in_operation_is_that_of_one_at_zero(level):
+    u, d = drive(level)
+    y = exact(u, d, u[0], level) + 0.01 * np.random.default_rng(2).normal(size=len(u))
+    found = gb.fit(
+        lag(level).start(delay=0.05, tau=0.4),
+        gb.Experiment("run", STEP * np.arange(len(u)), {"u": u, "d": d}, {"x": y}),
+    )
+    delay = found.parameters["delay"]
+    assert abs(delay.value - DELAY) < 4 * delay.std < 0.004
+
+
+def test_rows_that_hang_on_what_nobody_recorded_do_not_count():
+    u, d = drive(20.0)
+    time = STEP * np.arange(len(u))
+    kept = np.r_[0:100, 140:300]
+    y = exact(u, d, u[0], 20.0) + 0.01 * np.random.default_rng(3).normal(size=len(u))
+    holed = gb.Experiment("run", time[kept], {"u": u[kept], "d": d[kept]}, {"x": y[kept]})
+    pieces = holed.split_at_time_gaps()
+    assert len(pieces) == 2
+    found = gb.fit(lag(20.0), pieces, noise={"x": 0.01})
+    delay = found.parameters["delay"]
+    assert abs(delay.value - DELAY) < 4 * delay.std < 0.004
+    assert found.misfit["x"].noise_ratio < 1.15
+    # Fifteen rows of 20 ms may be reached by a delay of up to 0.3 s.
+    assert np.isnan(found.traces[1].measured["x"]).sum() == 15
+
+
+def test_a_fit_bounds_a_delay_by_its_records():
+    u, d = drive(0.0)
+    y = exact(u, d, 0.0, 0.0) + 0.01 * np.random.default_rng(4).normal(size=len(u))
+    model = Model("lag", lag().states, lag().inputs, lag().outputs, lag().parameters, lag().balances) + gb.effect(
+        "transport_delay"
+    )
+    found = gb.fit(model, gb.Experiment("run", STEP * np.arange(len(u)), {"u": u, "d": d}, {"x": y}))
+    assert found.parameters["delay"].value == pytest.approx(DELAY, abs=0.003)
