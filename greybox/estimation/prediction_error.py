@@ -223,7 +223,9 @@ def estimate_by_prediction_error(
     names = tuple(q.name for q in model.free_parameters if q.name in model.noise_parameters)
     undriven = model.fix(*names)  # a free run knows nothing of the intensities
     solution = solve(
-        prepare_problem(undriven, experiments, noise, options, quiet=quiet, initial=initial), options, report
+        prepare_problem(undriven, experiments, noise, options, quiet=quiet, initial=initial, written_out=True),
+        options,
+        report,
     )
     # Change of each state from row to row over the root of the interval: what a random walk of unit intensity makes one.
     changes = [

@@ -19,8 +19,10 @@ from greybox.estimation.objective import PredictionErrorObjective, refine_minimu
 from greybox.estimation.options import FitOptions, resolve_options
 from greybox.estimation.prediction_error import estimate_by_prediction_error
 from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import Trace
 from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
-from greybox.estimation.validate import FIRST_ROWS, determine_initial_states
+from greybox.estimation.transcription.select import select_transcription
+from greybox.estimation.validate import FIRST_ROWS, determine_initial_states, refine_integration
 from greybox.model import Model
 from greybox.simulation.filtering.kalman_filter import LOG_TWO_PI
 from greybox.simulation.filtering.smoother import smooth_states
@@ -63,12 +65,23 @@ def make_likelihood(
 ) -> PredictionErrorObjective:
     """The likelihood of records with nothing unknown but the first states, and the outputs' noise where that is neither given
     nor known from a quiet record."""
-    return PredictionErrorObjective.of(_prepare_known(given, experiments))
+    return PredictionErrorObjective.of(_refine(_prepare_known(given, experiments, filtered=True), given.options))
 
 
-def _prepare_known(given: FixedParameterModel, experiments: Experiment | Sequence[Experiment]) -> EstimationProblem:
+def _prepare_known(
+    given: FixedParameterModel, experiments: Experiment | Sequence[Experiment], *, filtered: bool = False
+) -> EstimationProblem:
+    """Records with nothing unknown but the first states, and the method of integration that a fit to them takes."""
     frozen, options = given.model.fix(*given.model.values), replace(given.options, per_experiment=())
-    return prepare_problem(frozen, experiments, given.noise, options)
+    problem = prepare_problem(frozen, experiments, given.noise, options, written_out=filtered)
+    return select_transcription(problem, replace(options, progressive=False)).problem
+
+
+def _refine(problem: EstimationProblem, options: FitOptions) -> EstimationProblem:
+    """``problem`` with steps as short as a fit takes them; the usual ones where a free run leaves the data and says nothing of them."""
+    refined = refine_integration(problem, options)
+    finite = all(np.isfinite(y).all() for y, _ in refined.shooting().simulate(refined.variables.here))
+    return refined if finite else problem
 
 
 def estimate_initial_state(
@@ -196,6 +209,8 @@ class Predictor:
 
     correction: PredictionCorrection
     options: FitOptions
+    known: tuple[Trace, ...] = ()
+    """Free runs of a fit: where nothing moves the states a prediction is the run, and what is foretold of its error."""
 
     def predict(
         self, experiment: Experiment, steps: int = 1, *, initial: InitialState | None = None
@@ -223,35 +238,44 @@ class Predictor:
             For steps below one.
         """
         _check_steps(steps)
-        cost = self._prepare(experiment, initial)
-        names = [o.name for o in self.correction.model.outputs]
         if self.correction.model.noisy_states:
+            names = [o.name for o in self.correction.model.outputs]
+            cost = PredictionErrorObjective.of(self._prepare(experiment, initial))
+            if initial is None:
+                cost = estimate_initial_state(cost, self.options, FIRST_ROWS)
             return _name_outputs(names, cost.predict_ahead(steps)[0])
-        record = cost.records[0]
-        free, seen = record.samples(cost.simulate()[0][0]), record.samples(record.y)
-        for j, name in enumerate(names):
-            if name in self.correction.colours:
-                # y(k|k-n) = free run + predicted error
-                free[:, j] += self.correction.colours[name].predict(seen[:, j] - free[:, j], steps)
-        return _name_outputs(names, free)
+        free, colours = self.simulate(experiment, initial=initial), self.correction.colours
+        # y(k|k-n) = free run + predicted error
+        corrected = {
+            n: y + colours[n].predict(experiment.outputs[n] - y, steps)
+            for n, y in free.items()
+            if n in colours and n in experiment.outputs
+        }
+        return free | corrected
 
     def simulate(self, experiment: Experiment, *, initial: InitialState | None = None) -> dict[str, np.ndarray]:
         """Outputs by name (N,) of the free run; ``initial`` as for `predict`."""
-        cost = self._prepare(experiment, initial)
         names = [o.name for o in self.correction.model.outputs]
-        return _name_outputs(names, cost.records[0].samples(cost.simulate()[0][0]))
+        for trace in self.known if initial is None else ():
+            if trace.experiment.identity == experiment.identity and set(names) <= set(trace.simulated):
+                return dict(trace.simulated)
+        problem = self._prepare(experiment, initial)
+        if initial is None and self.correction.model.noisy_states:
+            likely = estimate_initial_state(PredictionErrorObjective.of(problem), self.options, FIRST_ROWS)
+            return _name_outputs(names, problem.records[0].samples(likely.simulate()[0][0]))
+        run, _ = problem.shooting().simulate(problem.variables.here)[0]
+        return _name_outputs(names, problem.records[0].samples(run))
 
-    def _prepare(self, experiment: Experiment, initial: InitialState | None) -> PredictionErrorObjective:
+    def _prepare(self, experiment: Experiment, initial: InitialState | None) -> EstimationProblem:
         model = self.correction.model
         given = FixedParameterModel(model, self.correction.noise, self.options)
+        filtered = bool(model.noisy_states)
         if initial is None:
-            problem = _prepare_known(given, experiment)
+            problem = _prepare_known(given, experiment, filtered=filtered)
             # A filter forgets how it began; a free run carries its start along.
-            if model.noisy_states:
-                return estimate_initial_state(PredictionErrorObjective.of(problem), self.options, FIRST_ROWS)
-            if problem.variables.initial.free.any():
+            if not filtered and problem.variables.initial.free.any():
                 problem = replace(problem, variables=determine_initial_states(problem, self.options))
-            return PredictionErrorObjective.of(problem)
+            return _refine(problem, self.options)
         states = model.system.state_names
         unknown = [n for n in initial if n not in states]
         if unknown:
@@ -259,10 +283,11 @@ class Predictor:
         missing = [n for n in states if n not in initial]
         if missing:
             raise ModelError(f"initial: no value for {', '.join(missing)}; give every state, or None to estimate them")
-        cost = make_likelihood(replace(given, options=replace(self.options, at_rest=False)), experiment)
-        # As a guess that nothing moves: the likelihood is taken where the caller says.
-        begin = replace(cost.variables.initial, guess=np.array([[float(initial[n]) for n in states]]))
-        return cost.at(replace(cost.variables, initial=begin))
+        given = replace(given, options=replace(self.options, at_rest=False))
+        problem = _prepare_known(given, experiment, filtered=filtered)
+        # As a guess that nothing moves: the run begins where the caller says.
+        begin = replace(problem.variables.initial, guess=np.array([[float(initial[n]) for n in states]]))
+        return _refine(replace(problem, variables=replace(problem.variables, initial=begin)), self.options)
 
 
 def predictor(
@@ -322,7 +347,8 @@ def predictor(
         group = group or tuple(t.experiment for t in model.traces)
     if not group:
         raise DataError("predictor: no record to determine the correction from; give experiments, or a fit")
-    return Predictor(identify_correction(known, group), known.options)
+    runs = (*model.traces, *model.validation.traces) if isinstance(model, Fit) and options is None else ()
+    return Predictor(identify_correction(known, group), known.options, runs)
 
 
 def predict(

@@ -204,13 +204,15 @@ def run_model(
     for e in experiments:
         trace = traces[e.fingerprint]
         by_filter: dict[int, dict[str, np.ndarray]] = {}
-        if isinstance(correction, Predictor):
+        by_states = isinstance(correction, Predictor) and bool(correction.correction.model.noisy_states)
+        if isinstance(correction, Predictor) and by_states:
             by_filter = {k: correction.predict(e, k, initial=trace.initial_state) for k in steps}
         for name, y in trace.measured.items():
-            if isinstance(correction, Predictor):
+            if by_states:
                 ahead = PredictionsAhead(tuple(steps), {k: by_filter[k][name] for k in steps}.__getitem__)
             else:
-                colour = correction.colours.get(name) if correction else None
+                stated = correction.correction if isinstance(correction, Predictor) else correction
+                colour = stated.colours.get(name) if stated else None
                 ahead = PredictionsAhead(tuple(steps), partial(_predict_by_colour, trace, name, colour))
             runs.append(OutputRun(e.name, name, trace.time, y, trace.simulated[name], skip, ahead))
     return runs

@@ -28,6 +28,18 @@ FIRST_ROWS = 50
 INITIAL_STATE_SHARE = 0.5
 
 
+def refine_integration(problem: EstimationProblem, options: FitOptions) -> EstimationProblem:
+    """``problem``, whose constants are known, with a step as small for its records as a fit to them would have made it."""
+
+    def evaluate(problem: EstimationProblem) -> Solution:
+        evaluation, nothing = problem.shooting().evaluate(problem.variables.here), np.zeros(len(problem.noise.std))
+        work = TerminationStatus.CONVERGED, "", 0, 1, 0.0, (1.0,)
+        return Solution(problem, problem.variables, evaluation, *work, nothing)
+
+    policy = options.policy.step_refinement
+    return solve_with_refined_steps(problem, evaluate, lambda s: refine_step(s, options), policy).problem
+
+
 def determine_initial_states(problem: EstimationProblem, options: FitOptions, least: int = 0) -> DecisionVector:
     """The variables of ``problem``, whose constants are known, with initial states from so many first rows that these determine them.
 
@@ -167,14 +179,7 @@ def validate(
                 else determine_initial_states(problem, options, skip)
             )
 
-        # The step is as small for these records as a fit to them would have made it.
-        def evaluate(problem: EstimationProblem) -> Solution:
-            evaluation, nothing = problem.shooting().evaluate(problem.variables.here), np.zeros(len(problem.noise.std))
-            work = TerminationStatus.CONVERGED, "", 0, 1, 0.0, (1.0,)
-            return Solution(problem, problem.variables, evaluation, *work, nothing)
-
-        at_start, policy = replace(problem, variables=variables), options.policy.step_refinement
-        problem = solve_with_refined_steps(at_start, evaluate, lambda s: refine_step(s, options), policy).problem
+        problem = refine_integration(replace(problem, variables=variables), options)
         runs = tuple(problem.shooting(variables).simulate(variables.here))
     traces = optimum.make_traces(problem, runs)
     return result_parts.Validation(errors.compute_misfits(problem, traces, skip), traces)

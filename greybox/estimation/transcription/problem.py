@@ -35,7 +35,7 @@ class EstimationProblem:
     """Everything a fit needs, in plain arrays.
 
     ``loss``: None for least squares. ``constant_outputs``: outputs that were left out because they read the same in every row.
-    ``policy``: the numbers it was laid out by, and that what is made of it goes by.
+    ``policy``: the numbers it was laid out by, and that what is made of it goes by. ``written_out``: its step is one that a filter takes.
     """
 
     model: Model
@@ -49,6 +49,7 @@ class EstimationProblem:
     loss: RobustLoss | None = None
     constant_outputs: tuple[str, ...] = ()
     policy: EstimationPolicy = DEFAULT_POLICY
+    written_out: bool = False
 
     def predict_cost(self, variables: DecisionVector) -> float:
         """The cost that one step of the quadratic model promises from ``variables``; infinite where the model cannot be simulated there."""
@@ -141,7 +142,7 @@ class EstimationProblem:
             substeps=substeps,
             rows=0 if self.model.noisy_states else sum(len(r.u) for r in self.records),
             directions=self.variables.size,
-            written_out=bool(self.model.noisy_states),
+            written_out=self.written_out,
             policy=policy,
         )
         return replace(self, step=step, kernel=make_kernel(step, self.variables.which))
@@ -166,16 +167,18 @@ def prepare_problem(
     *,
     quiet: Experiment | Sequence[Experiment] = (),
     initial: Sequence[Mapping[str, float]] = (),
+    written_out: bool = False,
 ) -> EstimationProblem:
     """Check model and data against each other and lay out the problem as ``options`` say.
 
     ``noise`` as `greybox.data.noise.noise_sources.estimate_noise` takes it, or a `NoiseModel` that is known from an earlier fit; ``quiet``
     records tell it (`greybox.data.noise`). ``initial``: the first guess of each record's initial state, see `apply_initial_guess`. An
     output that reads the same in every row, and whose noise is not known, is left out (`EstimationProblem.constant_outputs`).
+    ``written_out``: whether a filter will take the step, as that of every model with process noise does.
 
     Raises DataError or ModelError with what is wrong and what to do.
     """
-    policy = options.policy
+    policy, written_out = options.policy, written_out or bool(model.noisy_states)
     group = to_experiments(experiments)
     for e in group:
         model.check_measured(f"experiment {e.name!r}", e.outputs)
@@ -224,7 +227,7 @@ def prepare_problem(
             # A Kalman filter takes the matrices apart.
             rows=0 if model.noisy_states else sum(len(r.u) for r in records),
             directions=len(model.free_parameters) + int(beginning.free.sum()),
-            written_out=bool(model.noisy_states),
+            written_out=written_out,
             policy=policy.discretisation,
         )
     if not step.per_interval:
@@ -242,6 +245,7 @@ def prepare_problem(
         options.method,
         constant_outputs=constant,
         policy=policy,
+        written_out=written_out,
     )
     # A filter finds its states by itself, and a run of a plant from outside has its price.
     if isinstance(model, PlantModel) or model.noisy_states:

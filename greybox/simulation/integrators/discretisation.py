@@ -263,8 +263,8 @@ def discretise(
             return _make_taylor(system, chosen[0], substeps or chosen[1])
     if method == "exact" or (method == "automatic" and system.linear and few_lengths and not uneven_delay):
         return _make(system, "exact", (), 1, past)
-    # As written out they take few states only.
-    if method in IMPLICIT and system.x.numel() > MAX_IMPLICIT_STATES:
+    # As written out they take few states only, and steps that follow the error cannot be written out.
+    if (method in IMPLICIT and system.x.numel() > MAX_IMPLICIT_STATES) or (method == ADAPTIVE and written_out):
         method = choose_implicit_method(system, lengths, written_out=written_out) or method
     fast = find_fast_relaxing_states(system, p, x) if method == "mixed" else system.relaxing
     first = substeps or (
