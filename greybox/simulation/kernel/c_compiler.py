@@ -432,6 +432,19 @@ def _digest_path(path: Path) -> Path:
     return path.with_suffix(".sha256")
 
 
+# The last name that every text defines: a library that has it was made of the whole text.
+LAST_NAME = "greybox_end_of_text"
+LAST_LINES = f"""
+#ifdef _WIN32
+__declspec(dllexport)
+#else
+__attribute__((visibility("default")))
+#endif
+extern const int {LAST_NAME};
+const int {LAST_NAME} = 1;
+"""
+
+
 def _compile(compiler: Compiler, flags: Sequence[str], source: str, path: Path) -> None:
     """Compile beside ``path`` and rename: another process sees all of the library or none of it.
 
@@ -439,7 +452,7 @@ def _compile(compiler: Compiler, flags: Sequence[str], source: str, path: Path) 
     """
     with _part_folder(path.parent) as folder:
         text, library, digest = (folder / f"kernel{suffix}" for suffix in (".c", SUFFIX, ".sha256"))
-        write_file(text, source)
+        write_file(text, source + LAST_LINES)
         run = run_compiler(
             [*compiler.command, *flags, "-o", str(library), str(text), "-lm"], compiler.timeout, compiler.is_background
         )
@@ -449,8 +462,13 @@ def _compile(compiler: Compiler, flags: Sequence[str], source: str, path: Path) 
             raise CompilerError(
                 f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {summarise_errors(run)}"
             )
+        content = library.read_bytes()
+        if LAST_NAME.encode() not in content:
+            raise CompilerError(
+                f"C compiler {' '.join(compiler.command)} made a library without the functions of its text; set CC to another compiler"
+            )
         library.chmod(0o700)
-        write_file(digest, hashlib.sha256(library.read_bytes()).hexdigest(), private=True)
+        write_file(digest, hashlib.sha256(content).hexdigest(), private=True)
         _replace(library, path)
         _replace(digest, _digest_path(path))
 

@@ -140,6 +140,31 @@ def test_a_damaged_library_is_compiled_anew(tmp_path, damage):
     assert make_kernel(halving()).name == "compiled"
 
 
+@pytest.mark.parametrize("text", ["int nothing;", "int simulate(void) { return 0; }", ""])
+def test_a_library_that_was_not_made_of_its_whole_text_is_refused_and_not_kept(tmp_path, text):
+    """A compiler that loses its input once makes no traceback of every later fit."""
+    flag, cc = tmp_path / "broken", tmp_path / "cc"
+    flag.touch()
+    (tmp_path / "other.c").write_text(text)
+    real = compiling.find_compiler().command[0]
+    cc.write_text(
+        "#!/bin/bash\n"
+        f'[ "$1" = --version ] && exec {real} --version\n'
+        'out=; for a in "$@"; do [ "$p" = -o ] && out=$a; p=$a; done\n'
+        f"[ -e {flag} ] && exec {real} -shared -fPIC -o $out {tmp_path}/other.c\n"
+        f'exec {real} "$@"\n'
+    )
+    cc.chmod(0o755)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CC", str(cc))
+        patch.setenv("GREYBOX_CACHE", str(tmp_path / "cache"))
+        source = '__attribute__((visibility("default"))) int answer(void) { return 42; }'
+        with pytest.raises(CompilerError, match="without the functions of its text"):
+            compiling.load_library(lambda: source, "a text")
+        flag.unlink()
+        assert compiling.load_library(lambda: source, "a text").answer() == 42
+
+
 def test_two_processes_may_compile_the_same_kernel_at_once(tmp_path):
     context = multiprocessing.get_context("spawn")
     barrier, answers = context.Barrier(2), context.Queue()
