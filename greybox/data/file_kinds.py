@@ -71,6 +71,39 @@ def record_suffixes() -> tuple[str, ...]:
     return tuple(dict.fromkeys(suffix for kind in file_formats() for suffix in kind.suffixes))
 
 
+# Endings of texts that hold no table: programs, studies, results, pages.
+NO_TABLES = frozenset(
+    (
+        ".py",
+        ".ipynb",
+        ".toml",
+        ".yaml",
+        ".yml",
+        ".ini",
+        ".json",
+        ".xml",
+        ".html",
+        ".htm",
+        ".md",
+        ".rst",
+        ".c",
+        ".h",
+        ".mo",
+        ".tex",
+        ".svg",
+    )
+)
+
+
+def find_format(file: Path) -> FileFormat | None:
+    """The kind of a file: by its ending, or text where it has another ending (``.log``) or none and is one. None for no record."""
+    suffix = file.suffix.lower()
+    for kind in file_formats():
+        if suffix in kind.suffixes:
+            return kind
+    return TEXT if suffix not in NO_TABLES and file.is_file() and text_table.is_text(file) else None
+
+
 class ColumnValues(NamedTuple):
     """Position -> column of numbers, the problems met, what is to be said of clocks and rates; position -> column of dates, and
     the position of the column with the day of a time of day."""
@@ -148,7 +181,12 @@ def open_record_file(path: str | os.PathLike[str], *, policy: ReadingPolicy = RE
             f"{file.name}: {size / 1e6:.0f} MB, files of at most {policy.largest_file / 1e6:.0f} MB are read; cut the record, or raise"
             f" the limit {columns.raise_limit('largest_file')}"
         )
-    kind = next(kind for kind in file_formats() if file.suffix.lower() in kind.suffixes)
+    kind = find_format(file)
+    if kind is None:
+        raise DataError(
+            f"{file.name}: files of type {file.suffix or '(no suffix)'!r} cannot be read unless they are tables of text;"
+            f" export it as one of {', '.join(record_suffixes())}{describe_failures(ExtensionKind.READERS)}"
+        )
     with _guarded(file, kind):
         return RecordFile(file, kind, kind.open(file, policy))
 
@@ -216,11 +254,6 @@ def _find_file(file: Path) -> Path:
         raise DataError(f"{file} is a folder; give a file in it ({', '.join(record_suffixes())})")
     if file.exists() and not file.is_file():
         raise DataError(f"{file} is a pipe or a device; write what comes out of it to a file, and give that")
-    if file.suffix.lower() not in record_suffixes() and file.is_file():
-        raise DataError(
-            f"{file.name}: files of type {file.suffix or '(no suffix)'!r} cannot be read;"
-            f" export it as one of {', '.join(record_suffixes())}{describe_failures(ExtensionKind.READERS)}"
-        )
     if file.is_file():
         return file
     if not file.parent.is_dir():

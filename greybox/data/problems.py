@@ -137,9 +137,12 @@ def _find_time_problems(time: np.ndarray, labels: RowLabels) -> list[str]:
     step = np.diff(time)
     repeated, backwards = np.append(False, step == 0), np.append(False, step < 0)
     rule = "time must increase from row to row"
+    replicates = (
+        "of readings repeated at one time make a record for each replicate (rep1.csv rep2.csv), or a second output"
+    )
     remedy = "read separate runs from separate files, or split there (shell: --split-holes)"
     return [
-        *_find_rows("time is repeated", repeated, labels, rule, time),
+        *_find_rows("time is repeated", repeated, labels, f"{rule}; {replicates}", time),
         *_find_rows("time goes back", backwards, labels, f"{rule}; {remedy}", time),
     ]
 

@@ -187,7 +187,7 @@ class RecordArrays(NamedTuple):
         """The rows within ``window``, with the times of the whole. Raises DataError for fewer than two, and for a limit that is no time."""
         if window == WHOLE:
             return self
-        first, last = (_read_limit(limit, self.start) for limit in window)
+        first, last = (_read_limit(limit, self) for limit in window)
         inside = np.ones(len(self.time), bool)
         if first is not None:
             inside &= self.time >= first - SLACK * np.spacing(abs(first))
@@ -199,7 +199,7 @@ class RecordArrays(NamedTuple):
                 f"{word} {limit}" for word, limit in zip(("from", "until"), window, strict=True) if limit is not None
             )
             raise DataError(
-                f"{len(rows)} rows {limits}; the record runs from {self.time[0]:.6g} to {self.time[-1]:.6g} s"
+                f"{self.file.path.name}: {len(rows)} rows {limits}; the record runs from {self.time[0]:.6g} to {self.time[-1]:.6g} s"
                 f"{f' (from {self.start})' if self.start else ''}, give a part of that with at least 2 rows"
             )
         part = slice(int(rows[0]), int(rows[-1]) + 1)
@@ -224,24 +224,23 @@ class RecordArrays(NamedTuple):
 SLACK = 8
 
 
-def _read_limit(limit: float | str | None, start: Start | None) -> float | None:
+def _read_limit(limit: float | str | None, record: RecordArrays) -> float | None:
     """A limit of a window in seconds of the record's time; a date or a time of day where the record has them."""
     if limit is None or not isinstance(limit, str):
         return limit
+    start, what = record.start, f"{record.file.path.name}: part {limit!r}"
     try:
         return float(limit)
     except ValueError:
         reader = StampReader()
         if reader.add([limit]) or start is None:
             example = f"or a time such as {start}" if start else "and this record has no dates"
-            raise DataError(f"{limit!r}: give seconds of the record's time, {example}") from None
+            raise DataError(f"{what}: give seconds of the record's time, {example}") from None
         stamps = reader.finish()
         if stamps.kind is not start.kind:
-            raise DataError(f"{limit!r}: the record counts from a {start.kind} ({start}); write one") from None
+            raise DataError(f"{what}: the record counts from a {start.kind} ({start}); write one") from None
         if stamps.swapped is not None:
-            raise DataError(
-                f"{limit!r} can be read as day/month and as month/day; write it as 2024-03-31 13:30"
-            ) from None
+            raise DataError(f"{what} can be read as day/month and as month/day; write it as 2024-03-31 13:30") from None
         return (int(stamps.nanoseconds[0]) - start.nanoseconds) / SECOND
 
 

@@ -427,6 +427,21 @@ def _find_encoding(path: Path, policy: ReadingPolicy) -> str:
     return encoding
 
 
+# Bytes that no text has: control characters but for tabs, ends of lines and pages, and the end that old systems write.
+_NO_TEXT = bytes({*range(32)} - {0, 9, 10, 11, 12, 13, 26, 27})
+
+
+def is_text(path: Path) -> bool:
+    """Whether a file is a text, as far as its first bytes tell."""
+    with open(path, "rb") as file:
+        start = file.read(4096)
+    try:
+        is_wide = _guess_encoding(start, path.name).startswith("utf-16")
+    except DataError:
+        return False
+    return is_wide or start.translate(None, _NO_TEXT) == start
+
+
 def _guess_encoding(start: bytes, name: str) -> str:
     if start[:2] in _WIDE_MARKS:
         return "utf-16"

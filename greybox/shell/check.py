@@ -52,9 +52,16 @@ def check(study: Study) -> Answer:
 
 def is_record(study: Study) -> bool:
     """Whether a file that records are read from stands in the place of the model."""
-    from greybox.data.file_kinds import record_suffixes
+    from greybox.data.file_kinds import NO_TABLES, record_suffixes
+    from greybox.shell.plants import find_plant_kind
+    from greybox.shell.project import list_models
 
-    return Path(study.model).suffix.lower() in record_suffixes()
+    path = Path(study.model)
+    if path.suffix.lower() in record_suffixes():
+        return True
+    # A file of another ending may be a text, unless it is a model or has the name of one.
+    may_be_model = path.suffix.lower() in NO_TABLES or find_plant_kind(study.model) is not None
+    return path.is_file() and not may_be_model and all(study.model != model.name for model in list_models().models)
 
 
 def look_at_files(study: Study) -> Answer:

@@ -158,12 +158,13 @@ def read_files(
 
 def read_quiet_records(study: Study, model: Model, hold: str | None = None) -> tuple[Experiment, ...]:
     """The records with the input at rest, from which the noise is estimated. Raises GreyboxError."""
-    from greybox.data.read import read_experiments
+    from greybox.data.read import WHOLE, read_experiments
 
     if not study.quiet:
         return ()
     more: dict[str, Any] = {} if hold is None else {"hold": hold}
-    return read_experiments(study.quiet, model, allow_constant_input=True, **layout_of(study), **more)
+    layout = {**layout_of(study), "window": WHOLE}
+    return read_experiments(study.quiet, model, allow_constant_input=True, **layout, **more)
 
 
 def layout_of(study: Study) -> dict[str, Any]:
@@ -177,6 +178,8 @@ def layout_of(study: Study) -> dict[str, Any]:
         layout["interpolation"] = dict(study.interpolation)
     if study.before:
         layout["before"] = dict(study.before)
+    if study.first_time or study.last_time:
+        layout["window"] = (study.first_time or None, study.last_time or None)
     if study.read_limit:
         layout["reading"] = READING_POLICY.times(study.read_limit)
     return layout

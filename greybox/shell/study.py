@@ -194,6 +194,10 @@ class Study:
         "Accept records with zero input throughout (free response of the plant).")
     split_holes = Option(kinds.Switch(), "--split-holes", "records.split_holes",
         "Split records where time has a gap or restarts (a logger dropout, or several runs in one file).")
+    first_time = Option(kinds.Moment(), "--from TIME", "records.from",
+        "The part of each record from this time on: seconds of its time, or a date or time of day where the file has them"
+        " ('2024-03-31 08:00'). Times stay those of the whole record; quiet records are taken whole.")
+    last_time = Option(kinds.Moment(), "--until TIME", "records.until", "The part of each record up to this time, as --from says.")
     columns = Option(kinds.ColumnHeaders(), "--column NAME=HEADER", "columns.",
         "Header of the column that contains a signal or the time, if it differs from NAME; or its number, counted from 1. NAME may state"
         " the unit of the column, as in 'time [ms]=millis'.",
@@ -505,7 +509,15 @@ class Command:
 # How records are read.
 READING = (
     *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit),
-    *(Study.hold, Study.interpolation, Study.before, Study.split_holes, Study.free_decay),
+    *(
+        Study.first_time,
+        Study.last_time,
+        Study.hold,
+        Study.interpolation,
+        Study.before,
+        Study.split_holes,
+        Study.free_decay,
+    ),
 )
 # What every command takes that looks at a model with records.
 ESTIMATING = (

@@ -93,6 +93,7 @@ def _record_lines(study: Study, folder: Path) -> list[str]:
         "conditions": from_files or None,
         "allow_constant_input": study.free_decay or None,
         "split": study.split_holes or None,
+        "window": (study.first_time or None, study.last_time or None) if study.first_time or study.last_time else None,
     }
     lines = [_read("records", study.estimation, folder, layout | how)]
     if study.validation:

@@ -6,6 +6,7 @@ options gives the same numbers as the options, to the last bit.
 
 from __future__ import annotations
 
+import datetime
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -173,6 +174,16 @@ class Word(Kind[str]):
     """A text that the library itself checks."""
 
     empty: str = ""
+
+
+@dataclass(frozen=True)
+class Moment(Word):
+    """A time of a record: seconds, or a date or a time of day."""
+
+    def from_toml(self, place: str, data: Any) -> str:
+        if isinstance(data, str | datetime.date | datetime.time):
+            return str(data)
+        return f"{number_in_file(place, data):.17g}"
 
 
 @dataclass(frozen=True)

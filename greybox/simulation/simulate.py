@@ -22,7 +22,7 @@ from greybox.data.experiment import UNNAMED, Experiment
 from greybox.data.input_course import Hold, Holds
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, raise_problems
-from greybox.data.read import read_arrays
+from greybox.data.read import WHOLE, Window, read_arrays
 from greybox.model import Model
 from greybox.simulation.free_run import SIMULATION_POLICY, SimulationPolicy, run_freely
 from greybox.simulation.integrators.step import Step
@@ -42,6 +42,7 @@ def read_inputs(
     hold: Holds = "auto",
     interpolation: Mapping[str, Hold] | None = None,
     before: Mapping[str, float] | None = None,
+    window: Window = WHOLE,
     reading: ReadingPolicy = READING_POLICY,
 ) -> Experiment:
     """Read time and the inputs of a model from a file, to simulate where nothing was measured. Other columns are not read.
@@ -52,7 +53,7 @@ def read_inputs(
         The file, of a kind that `greybox.read_csv` reads.
     model
         Its inputs are looked for, and their units are those of the record.
-    columns, sampling_time, interpolation, before, reading
+    columns, sampling_time, interpolation, before, window, reading
         As of `greybox.read_csv`.
     hold
         How the inputs move between samples, see `greybox.Experiment`.
@@ -76,8 +77,8 @@ def read_inputs(
         hold=hold,
         interpolation=interpolation,
         reading=reading,
-    )
-    file, labels = record.file.path, record.file.table.row_labels
+    ).cut(window)
+    file, labels = record.file.path, record.labels
     if len(record.time) > 1:
         raise_problems(file.name, find_array_problems(record.time, record.inputs, {}, labels))
     else:

@@ -640,8 +640,12 @@ def test_files_that_are_not_there_or_not_readable(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("run.xls", b"PK", "run.xls: files of type '.xls' cannot be read; export it as one of .csv, .tsv"),
-        ("run", b"t,u,x", "run: files of type '(no suffix)' cannot be read"),
+        (
+            "run.xls",
+            b"PK\x03\x04",
+            "run.xls: files of type '.xls' cannot be read unless they are tables of text; export it as one of .csv",
+        ),
+        ("run", b"t,u\0x", "run: files of type '(no suffix)' cannot be read"),
         ("run.csv", b"", "run.csv: the file is empty; it needs a header line and rows of numbers"),
         ("run.csv", b"\n \n# nothing\n", "run.csv: the file is empty; it needs a header line"),
         ("run.csv", b"PK\x03\x04\0\0\0", "run.csv: this is not a text file"),

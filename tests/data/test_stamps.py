@@ -276,3 +276,54 @@ def test_a_part_of_a_record_is_read(tmp_path):
     plain.write_text("\n".join(rows), encoding="utf-8")
     with pytest.raises(DataError, match="line 21"):
         read_csv(plain, LAG, window=(100, None))
+
+
+@pytest.mark.parametrize("name", ["run.log", "run", "run.asc", "run.001"])
+def test_a_text_of_another_ending_is_read(tmp_path, name):
+    assert read_csv(write_table(tmp_path / name, STEPS, "time [s]"), LAG).rows == N
+    (tmp_path / name).write_bytes(bytes(range(256)) * 9)
+    with pytest.raises(DataError, match="cannot be read unless they are tables of text"):
+        read_csv(tmp_path / name, LAG)
+
+
+def test_readings_repeated_at_one_time_say_how_replicates_are_read(tmp_path):
+    with pytest.raises(DataError, match="make a record for each replicate"):
+        read_csv(write_table(tmp_path / "run.csv", [k // 2 for k in range(N)], "time [h]"), LAG)
+
+
+def test_a_workbook_with_more_texts_than_cells_is_refused_before_they_are_read(tmp_path):
+    import zipfile
+
+    rows = [["time", "u", "x"], *map(list, zip(STEPS, DRIVE, ANSWER, strict=True))]
+    plain = _workbook(tmp_path / "plain.xlsx", data=rows)
+    for part in ("xl/sharedStrings.xml", "xl/styles.xml", "docProps/other.xml"):
+        with (
+            zipfile.ZipFile(plain) as source,
+            zipfile.ZipFile(tmp_path / "large.xlsx", "w", zipfile.ZIP_DEFLATED) as target,
+        ):
+            for member in source.infolist():
+                if member.filename != part:
+                    target.writestr(member.filename, source.read(member))
+            target.writestr(part, b"<sst>" + b"<si><t>a</t></si>" * 1_200_000 + b"</sst>")
+        with pytest.raises(DataError, match=f"the workbook holds {part} .20 MB. beside its sheets"):
+            read_csv(tmp_path / "large.xlsx", LAG)
+
+
+def test_a_link_back_to_the_root_of_an_hdf5_file_is_followed_once(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        group = file.create_group("log")
+        for name, values in (("time", np.array(STEPS)), ("u", DRIVE), ("x", ANSWER)):
+            group[name] = values
+        file["loop"] = file["/"]
+        group["up"], group["again"] = file["/"], group
+        # A chain in which each group has eight names for the next: 8^6 ways to its end.
+        inner = file.create_group("chain")
+        for _ in range(6):
+            following = inner.create_group("0")
+            for k in range(1, 8):
+                inner[str(k)] = following
+            inner = following
+    record = read_csv(tmp_path / "run.h5", LAG)
+    assert record.rows == N
+    assert [s.name for s in survey_file(tmp_path / "run.h5").signals] == ["u", "x"]

@@ -19,7 +19,7 @@ from greybox.data.experiment import Experiment
 from greybox.data.file_kinds import list_record_files
 from greybox.data.input_course import Hold, Holds
 from greybox.data.policy import READING_POLICY, ReadingPolicy
-from greybox.data.read import read_csv
+from greybox.data.read import WHOLE, Window, read_csv
 from greybox.model import Model
 
 
@@ -97,6 +97,7 @@ def find_records(
     interpolation: Mapping[str, Hold] | None = None,
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
+    window: Window = WHOLE,
     reading: ReadingPolicy = READING_POLICY,
 ) -> RecordCollection:
     """List the records in files and folders; none is read yet.
@@ -107,7 +108,7 @@ def find_records(
         Files of any kind that can be read, and folders of such files. Files of the same name get their folder's name in front.
     record
         Column that names the record of each row, for Parquet files that hold many; the rows of a record stand together.
-    columns, sampling_time, hold, interpolation, conditions, allow_constant_input, reading
+    columns, sampling_time, hold, interpolation, conditions, allow_constant_input, window, reading
         As of `greybox.read_csv`, for all records.
 
     Returns
@@ -152,6 +153,7 @@ def find_records(
         "interpolation": interpolation,
         "conditions": conditions,
         "allow_constant_input": allow_constant_input,
+        "window": window,
         "reading": reading,
     }
     return RecordCollection(tuple(references), layout)
