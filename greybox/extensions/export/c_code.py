@@ -164,6 +164,13 @@ def _header(plant: ExportedModel, interval: DiscreteStep) -> str:
         *equations_text(plant.model).splitlines(),
         "",
         f"One step is {interval.dt:g} s with the input held; integrated by {interval.step.label}.",
+        *(
+            [
+                f"Half the step changes a state by {interval.deviation:.1e} of its movement at most, over the record or a step of inputs."
+            ]
+            if interval.deviation > 0
+            else []
+        ),
         "",
         "Constants",
         *constants,

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from greybox.base import ModelError
+from greybox.base.numerics import TINY
 from greybox.estimation.linear.exported_model import ExportedModel
 from greybox.model import Input, Model, Output, Parameter, State
-from greybox.simulation.integrators.discretisation import discretise
+from greybox.simulation.integrators.discretisation import choose_implicit_method, discretise, run_step
 from greybox.simulation.integrators.step import Step
 
 NO_ROWS = np.empty(0, int)
@@ -46,6 +48,8 @@ class DiscreteStep:
     signals: Model | SteppedSignals
     start: ca.Function
     measurements: tuple[str, ...] = ()
+    deviation: float = math.nan
+    """Largest change of a state with half the step, as a share of its movement; NaN where that is not known."""
 
     @property
     def past(self) -> int:
@@ -121,9 +125,53 @@ def make_discrete_step(
         rows = np.searchsorted(elapsed, np.arange(count) * period * (1 + 1e-12), side="right") - 1
         inputs = np.column_stack([record.inputs[i.name][rows] for i in plant.model.inputs])
         chosen = {"target": DISCRETE_STEP_PRECISION, "inputs": inputs}
-    step = discretise(system, p, x0[None, :], np.array([float(period)]), method=method, written_out=True, **chosen)
+    make = partial(discretise, system, p, x0[None, :], np.array([float(period)]), method=method, written_out=True)
+    step = make(**chosen)
+    if step.implicit and not substeps and "inputs" not in chosen:
+        # Stable at any length, but a step of every input shows how short it must be to be right.
+        chosen = {"target": DISCRETE_STEP_PRECISION, "inputs": np.ones((TRIED_ROWS, system.u.numel()))}
+        step = make(**chosen)
     start = ca.Function("start", [system.p], [ca.densify(system.start)])
-    return DiscreteStep(known, step, float(period), p, x0, known, start)
+    deviation = _try_out(known, step, p, x0, chosen.get("inputs"), float(period))
+    return DiscreteStep(known, step, float(period), p, x0, known, start, deviation=deviation)
+
+
+# Rows over which a model without a record is tried out, every input at one from the first on.
+TRIED_ROWS = 100
+
+
+def _try_out(model: Model, step: Step, p: np.ndarray, x0: np.ndarray, inputs: np.ndarray | None, dt: float) -> float:
+    """Largest change of a state (rms, over its movement) with half the step, over ``inputs`` (N, nu) or a step of every input.
+
+    Raises ModelError where the run overflows and that with shorter steps does not.
+    """
+    if step.per_interval:
+        return 0.0
+    given = np.ones((TRIED_ROWS, model.system.u.numel())) if inputs is None else inputs
+    lengths = np.array([dt])
+
+    def follow(method: str, substeps: int) -> np.ndarray:
+        finer = discretise(model.system, p, x0[None, :], lengths, method=method, substeps=substeps, written_out=True)
+        return run_step(finer, p, x0, given, dt)
+
+    path = run_step(step, p, x0, given, dt)
+    if not np.isfinite(path).all():
+        method = choose_implicit_method(model.system, lengths, written_out=True)
+        whole = np.isfinite(follow(method, IMPLICIT_SUBSTEPS)).all(axis=1) if method else np.zeros(len(path), bool)
+        lost = np.flatnonzero(whole & ~np.isfinite(path).all(axis=1))
+        if len(lost):
+            raise ModelError(
+                f"{model.title}: one step of {dt:g} s by {step.label} overflows after {lost[0] * dt:g} s, where shorter steps go on;"
+                " leave out substeps, or give a smaller dt"
+            )
+        return math.nan
+    finer = run_step(replace(step, substeps=2 * step.substeps), p, x0, given, dt)
+    change, movement = (np.sqrt(np.mean(v**2, axis=0)) for v in (finer - path, finer - finer[0]))
+    return float(np.max(change / np.maximum(movement, TINY), initial=0.0, where=movement > 0))
+
+
+# Substeps of the implicit run that a run which overflows is held against.
+IMPLICIT_SUBSTEPS = 16
 
 
 def refuse_discontinuous(model: Model) -> None:

@@ -272,7 +272,10 @@ def test_default_cache_follows_the_platform(monkeypatch, tmp_path):
     ("fault", "message"),
     [
         ("sys.exit('cc1: error: out of memory')", "out of memory"),
-        ("Path(sys.argv[sys.argv.index('-o') + 1]).write_bytes(b'no library'); sys.exit(0)", "without the functions of its text"),
+        (
+            "Path(sys.argv[sys.argv.index('-o') + 1]).write_bytes(b'no library'); sys.exit(0)",
+            "without the functions of its text",
+        ),
         ("sys.exit(0)", "ended with code 0"),
         ("sys.exit('error: \\x1b[31mred\\x07')", "error"),
     ],
