@@ -44,7 +44,6 @@ def fleet(study: FleetStudy) -> Answer:
         study.estimation,
         record=study.record,
         hold=study.hold,  # type: ignore[arg-type]
-        interpolation=dict(study.interpolation) or None,
         **layout_of(study),
     )
     journal = folder / JOURNAL
@@ -93,7 +92,7 @@ FLEET = Command(
             usage="RECORDS", help="Records, folders of records, or Parquet files of many records.", required=True
         ),
         Study.start.but(help="Value of a parameter of MODEL."),
-        *(Study.hold, Study.interpolation),
+        *(Study.hold, Study.interpolation, Study.before),
         Study.at_rest.but(help="Every record begins in the state that the model declares."),
         *(Study.columns, Study.headers),
         Study.sampling_time.but(help="Seconds between rows, for records without a time."),

@@ -95,6 +95,7 @@ def find_records(
     sampling_time: float | None = None,
     hold: Holds = "auto",
     interpolation: Mapping[str, Hold] | None = None,
+    before: Mapping[str, float] | None = None,
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
     window: Window = WHOLE,
@@ -108,7 +109,7 @@ def find_records(
         Files of any kind that can be read, and folders of such files. Files of the same name get their folder's name in front.
     record
         Column that names the record of each row, for Parquet files that hold many; the rows of a record stand together.
-    columns, sampling_time, hold, interpolation, conditions, allow_constant_input, window, reading
+    columns, sampling_time, hold, interpolation, before, conditions, allow_constant_input, window, reading
         As of `greybox.read_csv`, for all records.
 
     Returns
@@ -151,6 +152,7 @@ def find_records(
         "sampling_time": sampling_time,
         "hold": hold,
         "interpolation": interpolation,
+        "before": before,
         "conditions": conditions,
         "allow_constant_input": allow_constant_input,
         "window": window,
