@@ -48,13 +48,13 @@ class DataPart:
 class ParameterShift:
     """A parameter that would be ``before`` in one part of the data and ``after`` in another, ``deviations`` standard deviations apart.
 
-    ``parts``: `DataPart.label` of the two.
+    ``before`` and ``after`` are None where the parts differ but do not tell by how much. ``parts``: `DataPart.label` of the two.
     """
 
     name: str
     unit: str
-    before: float
-    after: float
+    before: float | None
+    after: float | None
     deviations: float
     parts: tuple[str, str]
 
@@ -106,24 +106,33 @@ def find_parameter_shifts(
         with np.errstate(divide="ignore", invalid="ignore"):
             # The parts are independent: their variances add up.
             deviations = np.abs(step_b - step_a) / np.sqrt(variance_a + variance_b)
-        for k in map(int, np.flatnonzero(deviations > threshold)):
+        beyond = deviations > threshold
+        ends = np.array([_find_ends(variables, inside, step) for step in (step_a, step_b)])
+        clipped = np.clip(ends, *np.transpose([variables.quantities[k].bounds for k in inside]))
+        same = clipped[0] == clipped[1]  # both beyond the same bound: nowhere to go
+        # The step moves all constants of a part together: where one would leave its bounds, or its own 95 % interval there is as wide as
+        # its value, the others have no value either.
+        widths = [
+            _find_ends(variables, inside, step, 2 * np.sqrt(v))
+            for step, v in ((step_a, variance_a), (step_b, variance_b))
+        ]
+        vague = (ends != clipped) | ~(np.array(widths) < np.abs(ends))
+        has_values = not vague[:, beyond & ~same].any()
+        for k in map(int, np.flatnonzero(beyond & ~same)):
             if k not in farthest or deviations[k] > farthest[k].deviations:
-                # Steps in z as values of the parameter, within its bounds.
-                quantity, value, steps = (
-                    variables.quantities[inside[k]],
-                    float(variables.base[inside[k]]),
-                    (step_a[k], step_b[k]),
-                )
-                if variables.logarithmic[inside[k]]:
-                    ends = [value * float(np.exp(np.clip(step, -50, 50))) for step in steps]
-                else:
-                    ends = [value + float(variables.scale[inside[k]]) * step for step in steps]
-                low, high = quantity.bounds
-                before, after = (min(max(end, low), high) for end in ends)
-                size, parts = float(deviations[k]), (one, other)
-                farthest[k] = ParameterShift(quantity.name, quantity.unit, before, after, size, parts)
-    shifts = [s for s in farthest.values() if s.before != s.after]  # both beyond the same bound: nowhere to go
-    return sorted(shifts, key=lambda s: -s.deviations)
+                quantity, size = variables.quantities[inside[k]], float(deviations[k])
+                before, after = map(float, clipped[:, k]) if has_values else (None, None)
+                farthest[k] = ParameterShift(quantity.name, quantity.unit, before, after, size, (one, other))
+    return sorted(farthest.values(), key=lambda s: -s.deviations)
+
+
+def _find_ends(
+    variables: DecisionVector, inside: np.ndarray, step: np.ndarray, deviation: np.ndarray | None = None
+) -> np.ndarray:
+    """Values (k,) of the parameters ``inside`` after a ``step`` in z, or what a ``deviation`` in z is in their units there."""
+    base, scale, logarithmic = variables.base[inside], variables.scale[inside], variables.logarithmic[inside]
+    ends = np.where(logarithmic, base * np.exp(np.clip(step, -50, 50)), base + scale * step)
+    return ends if deviation is None else deviation * np.where(logarithmic, np.abs(ends), scale)
 
 
 def compute_running_mean(values: np.ndarray, width: int) -> np.ndarray:

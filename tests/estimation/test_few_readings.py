@@ -105,3 +105,16 @@ def test_a_constant_that_the_data_press_against_its_bound_is_at_it():
     free, held = (gb.fit(lag(b, start=1.0, fixed=True), record).parameters["K"] for b in ((1e-9, 1e9), (1e-9, 1.5)))
     assert 1.8 < free.value < 2.2 and not free.at_bound
     assert held.at_bound and held.value == pytest.approx(1.5, rel=1e-6)
+
+
+@pytest.mark.parametrize(("rows", "seed"), [(6, 1), (8, 2), (10, 3)])
+def test_a_short_table_that_the_model_does_not_follow_is_named(rows, seed):
+    """Of up to ten readings the noise is the residual's own, which is never above itself."""
+    alone = run(rows, seed)
+    # A lag under one step does not alternate from row to row.
+    y = (-1.0) ** np.arange(rows)
+    strange = gb.Experiment.from_arrays(alone.time, alone.inputs, {"y": y})
+    found = gb.fit(lag(fixed=True), strange)
+    assert find(found.findings, EstimationCode.MODEL_DOES_NOT_FOLLOW).values["best_fit"]["y"] < 50
+    followed = gb.fit(lag(fixed=True), alone)
+    assert EstimationCode.MODEL_DOES_NOT_FOLLOW not in [f.code for f in followed.findings]

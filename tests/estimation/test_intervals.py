@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 import greybox as gb
+from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base.errors import FitError, ModelError
 from greybox.data.experiment import Experiment
 from greybox.estimation.findings import EstimationCode
@@ -209,6 +210,43 @@ def test_a_constant_held_by_its_bound_in_both_parts_does_not_move():
     found = fit(TRUTH, replace(clean, outputs={"x": 1e-3 * x, "i": i}))
     shifts = find(found.findings, EstimationCode.PARAMETER_NOT_CONSTANT).values["shifts"]
     assert shifts and all(shift["before"] != shift["after"] for shift in shifts)
+
+
+@pytest.mark.parametrize("voltage", [6.0, -6.0, 9.0])
+def test_a_step_does_not_tell_friction_from_back_emf_and_gives_neither_a_value(voltage):
+    """A ramp determines both; a step that the model fits badly shows one speed only: V = Fc sign(w) + kV w."""
+    drive = Model(
+        "drive",
+        [State("w", "rad/s", role="velocity")],
+        [Input("V", "V")],
+        [Output("w", "rad/s")],
+        [
+            Parameter("kV", "V*s/rad", 2.0, (1e-3, 100)),
+            Parameter("kA", "V*s^2/rad", 0.3, (1e-3, 100)),
+        ],
+        lambda x, u, p: [Balance("volts", "V", p.kA, "w", applied=u.V, emf=-p.kV * x.w)],
+    )
+    rng = np.random.default_rng(4)
+
+    def run(name, volts, speed):
+        y = speed + 0.003 * rng.normal(size=len(volts))
+        return gb.Experiment.from_arrays(0.02 * np.arange(len(volts)), {"V": volts}, {"w": y}, name=name)
+
+    t = 0.02 * np.arange(700)
+    ramp = np.where(t > 1, 0.6 + 0.5 * (t - 1), 0.0)
+    # dw/dt = (V - Fc - kV w) / kA with V = Fc + 0.5 (t - 1): a straight rise behind a lag of kA/kV.
+    lag, s = 0.3 / 2.0, np.maximum(t - 1, 0)
+    rise = 0.25 * (s - lag * (1 - np.exp(-s / lag)))
+    step = np.full(100, voltage)
+    late = np.maximum(0.02 * np.arange(100) - 0.01, 0)  # half a row late
+    fast = np.sign(voltage) * (abs(voltage) - 0.6) / 2 * (1 - np.exp(-late / lag))
+    found = fit(
+        drive + gb.effect("coulomb_friction"), [run("ramp", ramp, rise), run("step", step, fast)], noise={"w": 0.003}
+    )
+    shifts = [s for f in found.findings if f.code == EstimationCode.PARAMETER_NOT_CONSTANT for s in f.values["shifts"]]
+    low = {"kV": 1.0, "kA": 0.1, "Fc": 0.3}
+    assert all(s["before"] is None or min(s["before"], s["after"]) > low[s["name"]] for s in shifts)
+    assert any(s["parts"] == ["experiment:'ramp'", "experiment:'step'"] for s in shifts)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])

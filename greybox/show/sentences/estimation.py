@@ -145,9 +145,12 @@ def _write_part(label: str) -> str:
 def _write_shifts(finding: Finding) -> str:
     by_parts: dict[tuple[str, ...], list[str]] = {}
     for s in finding.values["shifts"]:
-        change = f"{s['name']} changes from {s['before']:.4g} to {s['after']:.4g} {s['unit']}"
+        known = s["before"] is not None
+        change = f"changes from {s['before']:.4g} to {s['after']:.4g} {s['unit']}" if known else "differs"
         deviations = float(f"{s['deviations']:.2g}")
-        by_parts.setdefault(tuple(s["parts"]), []).append(f"{change} ({deviations:g} standard deviations of the noise)")
+        by_parts.setdefault(tuple(s["parts"]), []).append(
+            f"{s['name']} {change} ({deviations:g} of its standard deviations)"
+        )
     shifts = "; ".join(
         f"between {_write_part(first)} and {_write_part(second)}, {', '.join(changes)}"
         for (first, second), changes in by_parts.items()

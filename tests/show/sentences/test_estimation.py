@@ -208,8 +208,8 @@ GOLDEN = [
                 }
             ]
         },
-        "not constant: between experiment 'day 1' and experiment 'day 2', K changes from 10 to 12 N/m (4 standard deviations of"
-        " the noise); it compensates for an effect that the model lacks, or the plant changes",
+        "not constant: between experiment 'day 1' and experiment 'day 2', K changes from 10 to 12 N/m (4 of its standard"
+        " deviations); it compensates for an effect that the model lacks, or the plant changes",
     ),
     (
         "parameter_not_constant",
@@ -234,9 +234,27 @@ GOLDEN = [
                 },
             ]
         },
-        "not constant: between the first half of the record and the second half of the record, K changes from 10 to 12 N/m (4 standard"
-        " deviations of the noise), B changes from 2 to 1 N*s/m (210 standard deviations of the noise); "
+        "not constant: between the first half of the record and the second half of the record, K changes from 10 to 12 N/m (4 of its"
+        " standard deviations), B changes from 2 to 1 N*s/m (210 of its standard deviations); "
         "they compensate for an effect that the model lacks, or the plant changes",
+    ),
+    (
+        "parameter_not_constant",
+        "",
+        {
+            "shifts": [
+                {
+                    "name": "K",
+                    "unit": "N/m",
+                    "before": None,
+                    "after": None,
+                    "deviations": 35.0,
+                    "parts": ["experiment:'a'", "experiment:'b'"],
+                }
+            ]
+        },
+        "not constant: between experiment 'a' and experiment 'b', K differs (35 of its standard deviations); it compensates for an effect"
+        " that the model lacks, or the plant changes",
     ),
     (
         "residual_correlated",
