@@ -259,11 +259,11 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     # A noise that is the residual's own never stands against it: a short table is judged by what the model follows alone.
     sources = problem.noise.sources
     lost = {n: best_fit[n] for n in free_run if best_fit[n] < FOLLOWED_PERCENT}
-    certain = {n: followed for n, followed in lost.items() if free_run[n].noise_ratio > FAR_NOISE_RATIO}
+    far = {n: followed for n, followed in lost.items() if free_run[n].noise_ratio > FAR_NOISE_RATIO}
     short = {n: followed for n, followed in lost.items() if sources.get(n) is NoiseSource.RESIDUAL}
-    if certain or short:
-        severity = Severity.ERROR if certain else Severity.WARNING
-        warn(EstimationCode.MODEL_DOES_NOT_FOLLOW, severity, best_fit=certain | short)
+    if far or short:
+        severity = Severity.ERROR if far else Severity.WARNING
+        warn(EstimationCode.MODEL_DOES_NOT_FOLLOW, severity, best_fit=far | short)
     result += _find_other_courses(optimum)
     # What the data leave open, and what only looks determined.
     if covariance.degrees == 0:
