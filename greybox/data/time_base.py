@@ -267,7 +267,8 @@ def _interpolate(samples: Samples, base: np.ndarray, use: ChannelUse) -> np.ndar
 
 
 class ClockOffset(NamedTuple):
-    """``offset`` (s) to be added to the stamps of the second clock at time ``middle`` (s), and its standard deviation; ``drift`` in s/s."""
+    """``offset`` (s) to be added to the stamps of the second clock at time ``middle`` (s), and its standard deviation; ``drift`` in s/s,
+    above zero where the second clock loses."""
 
     offset: float
     std: float
@@ -357,7 +358,103 @@ def estimate_clock_offset(first: Samples, second: Samples) -> ClockOffset | None
     coarse, step = _correlate(first, second)
     if coarse is None:
         return None
-    return _refine(first, second, coarse, step)
+    edges = [_find_edges(x) for x in (first, second)]
+    a, b = edges
+    return _refine(first, second, coarse, step) if a is None or b is None else _match_edges(a, b, coarse)
+
+
+class _Edges(NamedTuple):
+    """Between which two stamps (M, 2) a signal jumps, and whether upwards."""
+
+    bounds: np.ndarray
+    up: np.ndarray
+
+
+# Share of its range that a signal moves from one sample to the next when it jumps, and the least ratio of a jump to the noise between.
+EDGE_HEIGHT = 0.5
+EDGE_CLEARNESS = 5.0
+
+
+def _find_edges(samples: Samples) -> _Edges | None:
+    """Where a trigger, a switch or a pulse jumps; None for a signal that moves otherwise. Noise on its levels does not count."""
+    step = np.diff(samples.values)
+    jumps = np.abs(step) > EDGE_HEIGHT * np.ptp(samples.values)
+    if not 0 < jumps.mean() <= HELD_VALUES:
+        return None
+    between = step[~jumps]
+    if EDGE_CLEARNESS * float(np.sqrt(np.mean(between**2))) > float(np.abs(step[jumps]).min()):
+        return None
+    at = np.flatnonzero(jumps)
+    return _Edges(np.column_stack([samples.time[at], samples.time[at + 1]]), step[at] > 0)
+
+
+def _match_edges(first: _Edges, second: _Edges, coarse: float) -> ClockOffset | None:
+    """Offset and drift from the edges that both clocks have seen; None where they do not fit each other.
+
+    A clock tells of an edge only between which two of its samples it was. The middle of them is off by an error that is uniform over the
+    step, so that an offset ``d_j = m1_j - m2_j`` has the variance ``(s1_j^2 + s2_j^2) / 12``, and ``d_j = offset + drift (m2_j - middle)``
+    is a line through the edges: the more there are, the better.
+    """
+    a, b = (edges.bounds.mean(axis=1) for edges in (first, second))
+    widths = [np.diff(edges.bounds, axis=1)[:, 0] for edges in (first, second)]
+    offset, drift, middle = coarse, 0.0, float(b.mean())
+    for _ in range(OFFSET_ITERATIONS):
+        expected = b + offset + drift * (b - middle)
+        near = np.abs(expected[:, None] - a[None, :]).argmin(axis=1)
+        # An edge is that of the other clock if each is the other's nearest.
+        back = np.abs(expected[:, None] - a[None, :]).argmin(axis=0)
+        mutual = back[near] == np.arange(len(b))
+        i, j = near[mutual], np.flatnonzero(mutual)
+        variance = float(np.mean(widths[0][i] ** 2 + widths[1][j] ** 2)) / 12
+        centred, distance = b[j] - b[j].mean(), a[i] - b[j]
+        spread = float(centred @ centred)
+        slope = float(centred @ distance) / spread if len(j) >= LEAST_EDGES and spread else 0.0
+        # Below its error a drift does more harm than good.
+        slope = slope if abs(slope) > DRIFT_SIGNIFICANCE * np.sqrt(variance / (spread or 1.0)) else 0.0
+        settled = (
+            abs(float(distance.mean()) - offset) + abs(slope - drift) * float(np.ptp(b))
+            <= OFFSET_RESOLUTION * widths[0].min()
+        )
+        offset, drift, middle = float(distance.mean()), slope, float(b[j].mean())
+        if settled:
+            break
+    residual = distance - offset - drift * centred
+    # Edges that lie off the line by more than the steps of both clocks are not the same.
+    same = np.abs(residual) <= widths[0][i] + widths[1][j]
+    common = min(len(a), len(b))
+    agreed = float(np.mean(first.up[i] == second.up[j]))
+    if same.sum() < LEAST_CORRELATION * common or 1 - LEAST_CORRELATION < agreed < LEAST_CORRELATION:
+        return None
+    # What the line leaves tells the error too where there are enough edges: a trigger that bounces, or a filter before one clock.
+    seen = float(residual @ residual) / max(len(j) - 2, 1) if len(j) >= LEAST_EDGES else 0.0
+    # What samples of each clock leave open, less where the edges do not share it.
+    of_clocks = [_error_of_mean(edges.bounds[k], edges.up[k]) for edges, k in ((first, i), (second, j))]
+    std = float(np.sqrt(max(sum(of_clocks), seen / len(j))))
+    return ClockOffset(offset, std, drift, middle, float(same.mean()))
+
+
+# Edges from which a drift is estimated: a line through fewer says nothing of its error.
+LEAST_EDGES = 4
+
+
+def _error_of_mean(bounds: np.ndarray, up: np.ndarray) -> float:
+    """Variance (s^2) of the mean time of edges between ``bounds`` (M, 2).
+
+    Edges at a period of whole samples lie at one place between two samples, so that their errors are one and do not average out.
+    """
+    middles, variance = bounds.mean(axis=1), float(np.mean(np.diff(bounds, axis=1) ** 2)) / 12
+    scatters = []
+    for times in (middles[up], middles[~up]):
+        if len(times) >= LEAST_EDGES:
+            period = np.round((times - times[0]) / np.diff(times).min())
+            line = np.polynomial.Polynomial.fit(period, times, 1)
+            scatters.append(float(np.mean((times - line(period)) ** 2)))
+    are_independent = bool(scatters) and min(scatters) > LEAST_SCATTER * variance
+    return variance / len(middles) if are_independent else variance
+
+
+# Share of the variance that samples allow from which edges of one period lie at places of their own between the samples.
+LEAST_SCATTER = 0.25
 
 
 # Share of samples that change, at most, for a signal to be called held: commands, switches, set points.
@@ -397,14 +494,15 @@ LEAST_CORRELATION = 0.9
 OFFSET_ITERATIONS = 30
 # A step of the search below this share of the grid's ends it.
 OFFSET_RESOLUTION = 1e-06
-# Standard deviations from which one clock runs faster than the other; below, the drift is zero.
-DRIFT_SIGNIFICANCE = 5.0
+# Standard deviations from which one clock runs faster than the other; below, the drift is zero, which errs by no more than that.
+DRIFT_SIGNIFICANCE = 2.0
 
 
 def _refine(first: Samples, second: Samples, offset: float, step: float) -> ClockOffset | None:
     """Gauss-Newton on offset, drift, gain and level: ``second(t) = gain * first(t + offset + drift (t - middle)) + level``."""
     middle, drift = float(second.time.mean()), 0.0
-    slope = Samples(first.time, np.gradient(first.values, first.time))
+    # Two estimates of the slope with errors of their own, from every other sample: noise of one alone would pass for slope.
+    halves = [Samples(first.time[k::2], np.gradient(first.values[k::2], first.time[k::2])) for k in (0, 1)]
     correlation = 0.0
     covariance: np.ndarray = np.full((2, 2), np.inf)
     for _ in range(OFFSET_ITERATIONS):
@@ -414,19 +512,24 @@ def _refine(first: Samples, second: Samples, offset: float, step: float) -> Cloc
             return None
         t, y = second.time[inside], second.values[inside]
         model = np.interp(at[inside], first.time, first.values)
-        rate = np.interp(at[inside], slope.time, slope.values)
+        rates = [np.interp(at[inside], half.time, half.values) for half in halves]
         if not (np.ptp(model) and np.ptp(y)):
             return None
         correlation = float(np.corrcoef(model, y)[0, 1])
         gain = float(np.polyfit(model, y, 1)[0])
-        # Derivatives by gain, level, offset and drift.
-        columns = np.column_stack([model, np.ones_like(t), gain * rate, gain * rate * (t - middle)])
-        solution, _, rank, _ = np.linalg.lstsq(columns, y, rcond=None)
-        if rank < columns.shape[1]:
+        # Derivatives by gain, level, offset and drift, and instruments beside them (Z' X b = Z' y).
+        columns, instruments = (
+            np.column_stack([model, np.ones_like(t), gain * rate, gain * rate * (t - middle)]) for rate in rates
+        )
+        product = instruments.T @ columns
+        if np.linalg.matrix_rank(product) < columns.shape[1]:
             return None
+        solution = np.linalg.solve(product, instruments.T @ y)
         residual = y - columns @ solution
-        # s^2 (J' J)^-1, of offset and drift; four numbers are fitted.
-        covariance = np.linalg.inv(columns.T @ columns)[2:, 2:] * float(residual @ residual) / max(len(t) - 4, 1)
+        # s^2 (Z' X)^-1 Z' Z (X' Z)^-1, of offset and drift; four numbers are fitted.
+        inverse = np.linalg.inv(product)
+        variance = float(residual @ residual) / max(len(t) - 4, 1)
+        covariance = variance * (inverse @ (instruments.T @ instruments) @ inverse.T)[2:, 2:]
         # At most a step of the grid at a time: farther away the slope is another.
         move = np.clip(solution[2], -step, step)
         offset, drift = offset + float(move), drift + float(solution[3])
@@ -435,13 +538,6 @@ def _refine(first: Samples, second: Samples, offset: float, step: float) -> Cloc
     if correlation < LEAST_CORRELATION:
         return None
     std = float(np.sqrt(covariance[0, 0]))
-    steps = [float(np.median(np.diff(s.time))) for s in (first, second)]
-    # The edges of a held signal are known to a step of each clock, however well the rest of it fits.
-    held = any(is_held(s.values) for s in (first, second))
-    if held:
-        std = float(np.sqrt(std**2 + (steps[0] ** 2 + steps[1] ** 2) / 12))
-    span = second.time[-1] - second.time[0]
-    least = max(steps) if held else DRIFT_SIGNIFICANCE * float(np.sqrt(covariance[1, 1])) * span
-    if abs(drift) * span <= 2 * least:
+    if abs(drift) <= DRIFT_SIGNIFICANCE * float(np.sqrt(covariance[1, 1])):
         drift = 0.0
     return ClockOffset(offset, std, drift, middle, correlation)

@@ -385,3 +385,37 @@ def test_electrical_signals_are_the_likely_inputs_where_no_name_says_so(tmp_path
     assert uses == {"time [s]": "time", "Motor current [mA]": "input", "Speed [rpm]": "output"}
     np.savetxt(tmp_path / "speeds.csv", rows, delimiter=",", header="time [s],a [rpm],b [rpm]", comments="")
     assert "input" not in {s.use for s in survey_file(tmp_path / "speeds.csv").signals}
+
+
+def _two_clocks(seed: int, kind: str, drift: float) -> tuple[float, float, float, float]:
+    """Error of the offset, its stated standard deviation, the drift found, and the largest error over the record: two clocks of which the
+    second reads ``t - 0.237 s`` and loses ``drift``, each of which samples one signal at its own rate and phase."""
+    random = np.random.default_rng(seed)
+    first, second = (np.arange(0, 20, step) + random.uniform(0, step) for step in (1e-3, 2.5e-3))
+    truth = second + 0.237 + drift * (second - second.mean())
+    edges = (
+        np.sort(random.uniform(1, 19, 40)) if kind == "trigger" else 1 + random.uniform(0, 0.01) + 0.5 * np.arange(30)
+    )
+    frequency, phase = 2 * np.pi * random.uniform(0.5, 5, 6), random.uniform(0, 6, 6)
+
+    def signal(t: np.ndarray) -> np.ndarray:
+        if kind == "shared":
+            return np.sin(np.outer(t, frequency) + phase).sum(axis=1)
+        return 5.0 * (np.searchsorted(edges, t, side="right") % 2)
+
+    noise = 0.05
+    a, b = (signal(t) + noise * random.standard_normal(len(t)) for t in (first, truth))
+    offset = estimate_clock_offset(Samples(first, a), Samples(second, b))
+    assert offset is not None
+    at = offset.middle
+    right = 0.237 + drift * (at - second.mean())
+    return offset.offset - right, offset.std, offset.drift, float(np.abs(offset.correct(second) - truth).max())
+
+
+@pytest.mark.parametrize("kind", ["trigger", "pulses of whole samples", "shared"])
+@pytest.mark.parametrize("drift", [8e-4, 0.0, -8e-4])
+def test_the_uncertainty_of_a_clock_is_that_of_its_truth(kind: str, drift: float) -> None:
+    errors, stated, drifts, largest = np.array([_two_clocks(seed, kind, drift) for seed in range(100, 140)]).T
+    assert 0.6 < np.sqrt(np.mean((errors / stated) ** 2)) < 1.5
+    assert np.all(np.abs(drifts - drift) < 2.5e-4)
+    assert np.median(largest) < 3e-3

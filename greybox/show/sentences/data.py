@@ -94,7 +94,9 @@ def _brought_to_one_time(finding: Finding) -> str:
 
 def _clock_offset(finding: Finding) -> str:
     v = finding.values
-    drift = f", and gains {1e6 * v['drift']:.3g} us every second" if v["drift"] else ""
+    # A drift above zero is added to its stamps: they fall behind.
+    course = "loses" if v["drift"] > 0 else "gains"
+    drift = f", and {course} {1e6 * abs(v['drift']):.3g} us every second" if v["drift"] else ""
     return (
         f"clock {finding.subject!r} is {abs(v['offset']):.6g} s {'behind' if v['offset'] > 0 else 'ahead of'} clock"
         f" {v['reference']!r} (standard deviation {v['std']:.2g} s{drift}), as {v['signal']!r} on both shows; its stamps are corrected"

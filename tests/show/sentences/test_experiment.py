@@ -41,7 +41,7 @@ GOLDEN = {
             "middle": 2.0,
             "correlation": 1.0,
         },
-        "clock 'Laser' is 0.2373 s behind clock 'DAQ' (standard deviation 1.2e-06 s, and gains 20 us every second), as 'sync' on"
+        "clock 'Laser' is 0.2373 s behind clock 'DAQ' (standard deviation 1.2e-06 s, and loses 20 us every second), as 'sync' on"
         " both shows; its stamps are corrected",
     ),
     RecordCode.CLOCK_OFFSET_BY_RECORDER: (
