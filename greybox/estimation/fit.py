@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import reduce
 
@@ -62,9 +62,9 @@ from greybox.estimation.transcription.problem import (
     prepare_problem,
 )
 from greybox.estimation.validate import validate
-from greybox.model import Model, equations_text
+from greybox.model import Effect, Model, equations_text
 from greybox.model.definition import declare
-from greybox.model.effects.scales import bound_delays, measure_scales
+from greybox.model.effects.scales import Scales, bound_delays, measure_scales
 from greybox.model.effects.starts import MANY_SHAPES_STARTS, count_starts, is_neutral, list_effect_values
 from greybox.simulation.plant import Plant, as_model
 from greybox.simulation.plant_kernel import PlantKernel
@@ -256,18 +256,28 @@ def _say_what_held_would_be(result: Fit, freed: Fit, held: Sequence[str]) -> Fit
     return replace(result, constraints=constraints, findings=(*result.findings, *issues))
 
 
-def _begin_with_effects(
+@dataclass(frozen=True, eq=False)
+class FreshEffects:
+    """The ``effects`` of a model that change nothing as they stand, and what the records can show of them.
+
+    ``plain`` is the optimum without them, ``scales`` are the peaks and times of its runs.
+    """
+
+    effects: Sequence[Effect]
+    plain: SimulationOptimum
+    scales: Scales
+
+
+def measure_fresh_effects(
     problem: EstimationProblem,
     experiments: Experiment | Sequence[Experiment],
     options: FitOptions,
-    colour: ColourTreatment | str,
-    report: FitProgressCallback | None,
-) -> SimulationOptimum | None:
-    """The best end of searches that begin where the effects of a model begin; None where every effect has values of its own.
+    colour: ColourTreatment | str = ColourTreatment.KNOWN,
+    report: FitProgressCallback | None = None,
+) -> FreshEffects | None:
+    """The effects of the model of ``problem`` that have no values of their own yet; None without one, or where nothing runs without them.
 
-    An effect just added changes nothing, and its constants may have no slope there. So the model is fitted without such effects first;
-    from that optimum, and from the constants as given, the effects begin at sizes and shapes that the record can show (those that a
-    discovery begins at). The optimum without them is a start as well: a model with an effect more is never worse.
+    Their constants may have no slope where they change nothing, so what the records can show of them is measured on the model without.
     """
     model = problem.model
     fresh = [e for e in model.effects if is_neutral(model, e)] if options.other_starts else []
@@ -278,12 +288,33 @@ def _begin_with_effects(
     except ModelError:  # a tie or a schedule of the user's needs them
         return None
     of_plain = prepare_problem(plain, experiments, problem.noise, options)
-    smaller = SimulationOptimum(plain, estimate_by_simulation_error(of_plain, options, colour, report))
-    if not np.isfinite(smaller.evaluation.cost):
+    optimum = SimulationOptimum(plain, estimate_by_simulation_error(of_plain, options, colour, report))
+    if not np.isfinite(optimum.evaluation.cost):
         return None
-    _, states = smaller.problem.shooting(smaller.variables).simulate(smaller.variables.here)[0]
-    record = smaller.problem.records[0]
-    scales = measure_scales(smaller.fitted_model, states, record.u, float(np.median(record.h)))
+    _, states = optimum.problem.shooting(optimum.variables).simulate(optimum.variables.here)[0]
+    record = optimum.problem.records[0]
+    scales = measure_scales(optimum.fitted_model, states, record.u, float(np.median(record.h)))
+    return FreshEffects(fresh, optimum, scales)
+
+
+def _begin_with_effects(
+    problem: EstimationProblem,
+    experiments: Experiment | Sequence[Experiment],
+    options: FitOptions,
+    colour: ColourTreatment | str,
+    report: FitProgressCallback | None,
+) -> SimulationOptimum | None:
+    """The best end of searches that begin where the effects of a model begin; None where every effect has values of its own.
+
+    The model is fitted without its fresh effects first; from that optimum, and from the constants as given, the effects begin at sizes and
+    shapes that the record can show (those that a discovery begins at). The optimum without them is a start as well: a model with an
+    effect more is never worse.
+    """
+    fresh = measure_fresh_effects(problem, experiments, options, colour, report)
+    if fresh is None:
+        return None
+    model, smaller, scales = problem.model, fresh.plain, fresh.scales
+    plain = smaller.model
     # Only a state that is estimated is given where it began: at rest, or at a declared start value, the model says it itself.
     began = [plain.system.state_names[k] for k in smaller.variables.free_states]
     initial = [{name: t.initial_state[name] for name in began} for t in smaller.traces] if began else []
@@ -302,7 +333,7 @@ def _begin_with_effects(
     begins: list[dict[str, float]] = [fitted]
     searched = 0
     # One effect after the other, each beside the best of those before it.
-    for each in fresh:
+    for each in fresh.effects:
         values, count = list(list_effect_values(model, each, scales)), count_starts(each, scales)
         searched = max(searched, count)
         bases = [begins[0]]
@@ -312,17 +343,20 @@ def _begin_with_effects(
         promised = (begun.predict_cost(begun.variables.start_at(begin)) for begin in more)
         costs = {k: cost for k, cost in enumerate(promised) if np.isfinite(cost)}
         begins = [*(more[k] for k in sorted(costs, key=costs.__getitem__)), *begins]
-    std = {o.name: float(s) for o, s in zip(model.outputs, problem.noise.std, strict=True)}
     ends: list[SimulationOptimum] = []
+
+    def ratio(end: SimulationOptimum) -> float:
+        return compute_ratio(end.evaluation.cost, end.misfit, problem.noise)
+
     for begin in (*begins[:searched], fitted):
         # The optimum without the effects is searched from only where no other start does better.
-        if begin is fitted and any(_compute_ratio(end, std) <= _compute_ratio(smaller, std) for end in ends):
+        if begin is fitted and any(ratio(end) <= ratio(smaller) for end in ends):
             continue
         other = prepare_problem(model.start(**begin), experiments, problem.noise, near, initial=initial)
         ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, near, colour, report)))
         if ends[-1].status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(ends[-1])):
             break
-    return min(ends, key=lambda end: _compute_ratio(end, std))
+    return min(ends, key=ratio)
 
 
 class SearchTrouble(StrEnum):
@@ -355,6 +389,17 @@ def find_trouble(begun: SimulationOptimum, problem: EstimationProblem, looks_els
 def explains_nothing(optimum: SimulationOptimum) -> bool:
     """Whether there is no run, or one that is hardly better than a constant for an output that has more than noise to explain."""
     return not np.isfinite(optimum.evaluation.cost) or bool(list_unexplained(optimum))
+
+
+def is_worse_than_constants(optimum: SimulationOptimum) -> bool:
+    """Whether the outputs that have more than noise to explain would be nearer to a constant each than to the run, all together."""
+    ratios = [
+        (m.noise_ratio, m.noise_ratio / (1 - m.best_fit_percent / 100))
+        for name, m in optimum.misfit.items()
+        if m.best_fit_percent < 100 and not is_output_at_noise(optimum, name)
+    ]
+    run, constant = np.square(ratios).sum(axis=0) if ratios else (0.0, 0.0)
+    return bool(run > constant)
 
 
 def list_unexplained(optimum: SimulationOptimum) -> dict[str, float]:
@@ -416,21 +461,21 @@ def _try_other_starts(
         variables = problem.variables.with_values(begin)
         return float(problem.shooting(variables).evaluate(variables.here).cost)
 
-    # Under the noise that was known before any of them: a level that each learns from its own residual makes all alike.
-    std = {o.name: float(s) for o, s in zip(model.outputs, problem.noise.std, strict=True)}
-    begins, ends, ratios = [{q.name: q.value for q in model.free_parameters}], [first], [_compute_ratio(first, std)]
+    begins, ends = [{q.name: q.value for q in model.free_parameters}], [first]
+    ratios = [compute_ratio(first.evaluation.cost, first.misfit, problem.noise)]
     best, drawn = first, 0
     for seed in range(2 if options.other_starts else 0):
         about = model.start(**find_scales(model, compute_cost)) if seed else model
-        # Ten draws for each search: a draw takes one run, and a search dozens.
-        near = draw_starts(about, 10 * options.other_starts, seed=seed, factor=STARTS_FACTOR)
+        # Ten draws for each search, and as many with other signs: a draw takes one run, and a search dozens.
+        open_signs = any(q.bounds[0] < 0 < q.bounds[1] for q in model.free_parameters)
+        near = draw_starts(about, 10 * options.other_starts * (1 + open_signs), seed=seed, factor=STARTS_FACTOR)
         costs = [compute_cost(begin) for begin in near]
         drawn += len(near)
         for k in [k for k in np.argsort(costs) if np.isfinite(costs[k])][: options.other_starts]:
             other = prepare_problem(model.start(**near[k]), experiments, problem.noise, options)
             ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, options, colour, report)))
             begins.append(near[k])
-            ratios.append(_compute_ratio(ends[-1], std))
+            ratios.append(compute_ratio(ends[-1].evaluation.cost, ends[-1].misfit, problem.noise))
             if ends[-1].status is TerminationStatus.INTERRUPTED:
                 break
         best = ends[int(np.argmin(ratios))]
@@ -478,50 +523,60 @@ SCALE_DECADES = 6
 
 
 def find_scales(model: Model, compute_cost: Callable[[Mapping[str, float]], float]) -> dict[str, float]:
-    """Values of the free constants, each in turn at the decade from its own value, within its bounds, whose run fits best.
+    """Values of the free constants, each in turn at the decade from its own value, of either sign within its bounds, whose run fits best.
 
     A constant far outside of what the records can show (a rate of 1e-6/h in a record of hours) changes nothing there, and so does all
     that is drawn about it. Where no decade fits better it stays.
     """
     values = {q.name: q.value for q in model.free_parameters}
     for q in model.free_parameters:
-        decades = (q.value * 10.0**k for k in range(-SCALE_DECADES, SCALE_DECADES + 1) if k and q.value)
+        sizes = [q.value * 10.0**k for k in range(-SCALE_DECADES, SCALE_DECADES + 1) if q.value]
+        decades = (sign * size for sign in (1, -1) for size in sizes if sign * size != q.value)
         tried = [q.value, *(value for value in decades if q.bounds[0] < value < q.bounds[1])]
         costs = [compute_cost({**values, q.name: value}) for value in tried]
         values[q.name] = tried[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
     return values
 
 
-def draw_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -> list[dict[str, float]]:
+def draw_starts(
+    model: Model, starts: int, seed: int | np.random.Generator = 0, factor: float = 3.0
+) -> list[dict[str, float]]:
     """Start values about the model's own: each free constant log-uniform between value / factor and value x factor, within its bounds.
 
-    A constant at zero has no size to vary: it is uniform within its bounds, and stays where they are open. Raises ModelError
-    for a factor of one or less.
+    In every second start the constants whose bounds hold zero inside take either sign. A constant at zero has no size to vary: it is
+    uniform within its bounds, and stays where they are open. Raises ModelError for a factor of one or less.
     """
     if not factor > 1:
         raise ModelError(f"factor {factor:g} of the random starts: it must be greater than one; 3 is usual")
     rng = np.random.default_rng(seed)
     drawn = []
-    for _ in range(max(starts, 0)):
+    for number in range(max(starts, 0)):
         begin = {}
         for q in model.free_parameters:
             (low, high), share = q.bounds, rng.uniform()
             if q.value == 0:
                 begin[q.name] = float(low + share * (high - low)) if np.isfinite(low) and np.isfinite(high) else 0.0
                 continue
-            smaller, larger = sorted((q.value / factor, q.value * factor))
-            a, b, sign = max(smaller, low), min(larger, high), np.sign(q.value)
-            # Uniform in the logarithm, from a to b: a factor up is as likely as one down.
-            begin[q.name] = float(np.clip(sign * np.exp(np.log(sign * a) + share * np.log(b / a)), low, high))
+            sign = np.sign(q.value)
+            # Half of the starts keep the signs that were given: where several are open, all of these are seldom right by chance.
+            if number % 2 and low < 0 < high:
+                sign = rng.choice((-1.0, 1.0))
+            smaller, larger = np.clip(sorted((sign * abs(q.value) / factor, sign * abs(q.value) * factor)), low, high)
+            # Uniform in the logarithm, from the smaller to the larger: a factor up is as likely as one down.
+            begin[q.name] = float(sign * np.exp(np.log(sign * smaller) + share * np.log(larger / smaller)))
         drawn.append(begin)
     return drawn
 
 
-def _compute_ratio(end: SimulationOptimum, std: Mapping[str, float]) -> float:
-    """Rms of the misfits of all outputs over the noise ``std``; infinite where there is no run."""
-    if not np.isfinite(end.evaluation.cost) or not end.misfit:
+def compute_ratio(cost: float, misfit: Mapping[str, result_parts.Misfit], known: NoiseModel) -> float:
+    """Rms of the misfits of all outputs over their ``known`` noise; infinite where there is no run, and no ``cost``.
+
+    Known before any search: a level that each end learns from its own residual makes all alike.
+    """
+    std = dict(zip(known.outputs, known.std.tolist(), strict=True))
+    if not np.isfinite(cost) or not misfit:
         return float(np.inf)
-    return float(np.sqrt(np.mean([(m.rmse / std[name]) ** 2 for name, m in end.misfit.items()])))
+    return float(np.sqrt(np.mean([(m.rmse / std[name]) ** 2 for name, m in misfit.items()])))
 
 
 def _count_runs(problem: EstimationProblem) -> dict[str, float]:
@@ -559,14 +614,17 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
         *find_record_trends(variables, covariance, problem.experiments),
     )
     estimated_noise = [model.outputs[j] for j in variables.estimated_noise]
+    status = optimum.status
+    if status.success and isinstance(optimum, SimulationOptimum) and is_worse_than_constants(optimum):
+        status = TerminationStatus.DOES_NOT_EXPLAIN
     return Fit(
         model=optimum.fitted_model,
         parameters=parameters,
         misfit=misfit,
         traces=optimum.traces,
         solver=result_parts.SolverReport(
-            str(optimum.status),
-            optimum.status.success,
+            str(status),
+            status.success,
             float(optimum.evaluation.cost),
             {
                 "optimiser": search.solver,

@@ -19,16 +19,18 @@ from greybox.base.files import add_entry, read_journal
 from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise import GrowingNoise, NoiseModel
-from greybox.estimation.findings import EstimationCode
-from greybox.estimation.fit import draw_starts, fit
+from greybox.estimation.findings import LAST_DIGIT, EstimationCode
+from greybox.estimation.fit import compute_ratio, draw_starts, fit, measure_fresh_effects
 from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.minimisation import TerminationStatus
+from greybox.estimation.optimum import SimulationOptimum
 from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
 from greybox.model import Model
 from greybox.model.definition import identify
+from greybox.model.effects.starts import list_effect_values
 from greybox.simulation.plant import Plant, as_model
 
 
@@ -84,6 +86,8 @@ def hash_start(
 MULTISTART_SAME_COST = 0.01
 # ... or their misfits over noise by this.
 SAME_NOISE_RATIO = 0.001
+# A constant that did not move stands elsewhere than at the best end where it differs by this share: no optimum is told so coarsely.
+UNMOVED_APART = 0.01
 
 
 def group_by_optimum(start_results: Sequence[StartResult]) -> list[list[StartResult]]:
@@ -99,14 +103,32 @@ def group_by_optimum(start_results: Sequence[StartResult]) -> list[list[StartRes
     return groups
 
 
+def count_unmoved(group: Sequence[StartResult]) -> dict[str, int]:
+    """Of starts at one optimum: constants that stayed where some were begun, though not where the best ended -> how many starts.
+
+    Nothing drew them there: such a start says nothing of the constant.
+    """
+    best: Mapping[str, float] = group[0].values if group else {}
+    counts: dict[str, int] = {}
+    for name, value in best.items():
+        stood = [
+            r for r in group if abs(r.values[name] - r.start.get(name, np.nan)) <= LAST_DIGIT * abs(r.values[name])
+        ]
+        count = sum(abs(r.values[name] - value) > UNMOVED_APART * abs(value) for r in stood)
+        counts |= {name: count} if count else {}
+    return counts
+
+
 def summarise_starts(start_results: Sequence[StartResult]) -> Finding:
-    """How many starts ended at each optimum, the best first, and how many have no result."""
+    """How many starts ended at each optimum, the best first, how many have no result, and which constants stayed where they were drawn."""
     groups = group_by_optimum(start_results)
-    values = {
+    values: dict[str, Any] = {
         "counts": [len(group) for group in groups],
         "ratios": [group[0].noise_ratio for group in groups],
         "without_result": sum(not result.values for result in start_results),
     }
+    if unmoved := count_unmoved(groups[0] if groups else []):
+        values["unmoved"] = unmoved
     return Finding(EstimationCode.STARTS, Severity.NOTE, "", values)
 
 
@@ -170,8 +192,10 @@ def multistart(
     experiments
         Estimation records.
     starts
-        How many starts, the model's own included; the others are drawn by `greybox.estimation.multistart.draw_starts`.
-        Where none of them explains anything, `FitOptions.other_starts` follow, and count as well.
+        How many starts, the model's own included, which is searched from as `greybox.fit` does: several are never worse than one. The
+        others are drawn by `greybox.estimation.multistart.draw_starts`, constants of an effect that changes nothing yet about what the
+        records can show of it.
+        Where the best of them explains nothing, `FitOptions.other_starts` follow, and count as well.
     seed
         Seed of the draws.
     factor
@@ -215,10 +239,12 @@ def multistart(
             " without its process noise"
         )
     group = as_records(experiments)
-    known_noise = prepare_problem(
-        model, group, noise, options, quiet=quiet
-    ).noise  # once; refuses here what no start can use
-    begins = [{q.name: q.value for q in model.free_parameters}, *draw_starts(model, starts - 1, seed, factor)]
+    problem = prepare_problem(model, group, noise, options, quiet=quiet)  # once; refuses here what no start can use
+    known_noise = problem.noise
+    begins = [
+        {q.name: q.value for q in model.free_parameters},
+        *_draw_others(problem, options, starts - 1, seed, factor),
+    ]
     kept = None if journal is None else StartJournal(Path(journal))
     keys = [hash_start(model, group, known_noise, options, begin) if kept else "" for begin in begins]
     results: list[JobResult | None] = [kept.known.get(key) if kept else None for key in keys]
@@ -265,19 +291,28 @@ def multistart(
             f"multi-start of {model.title}: none of {len(begins)} starts has a result ({reason}); give start values nearer to physical"
             " ones"
         )
-    best = fit(
-        # Fitted anew from its own end, in this process: starts bring back values alone, not a whole fit.
-        model.start(**start_results[0].values),
-        group,
-        noise=noise,
-        quiet=quiet,
-        colour=colour,
-        validation=validation,
-        skip=skip,
-        beginning=beginning,
-        # Where none of them explains anything the fit begins others; none after the time limit or Ctrl-C.
-        options=replace(options, other_starts=0) if left else options,
-    )
+    ends: list[tuple[float, Fit]] = []
+    promised = (1 + MULTISTART_SAME_COST) ** 0.5 * start_results[0].noise_ratio + SAME_NOISE_RATIO
+    # Fitted anew from its own end, in this process: starts bring back values alone, not a whole fit. Where that does not end as well
+    # (first states are not brought back), from where it began, and at last from the model's own start, whose search is this very one.
+    again_from: tuple[Mapping[str, float], ...] = (start_results[0].values, start_results[0].start, begins[0])
+    for again_begin in again_from:
+        again = fit(
+            model.start(**again_begin),
+            group,
+            noise=noise,
+            quiet=quiet,
+            colour=colour,
+            validation=validation,
+            skip=skip,
+            beginning=beginning,
+            # Where none of them explains anything the fit begins others; none after the time limit or Ctrl-C.
+            options=replace(options, other_starts=0) if left else options,
+        )
+        ends.append((compute_ratio(again.solver.cost, again.misfit, known_noise), again))
+        if ends[-1][0] <= promised or left:
+            break
+    best = min(ends, key=lambda end: end[0])[1]
     others = (result for result in best.starts if result.start != start_results[0].values)
     start_results = sorted([*start_results, *others], key=lambda result: result.noise_ratio)
     # As the caller gave them, the number of starts included.
@@ -289,15 +324,38 @@ def multistart(
     return MultiStartResult(best, tuple(start_results), interrupted)
 
 
+def _draw_others(
+    problem: EstimationProblem, options: FitOptions, count: int, seed: int, factor: float
+) -> list[dict[str, float]]:
+    """Random starts; the constants of effects that change nothing yet are drawn about values that the records can show."""
+    model, rng = problem.model, np.random.default_rng(seed)
+    begins = draw_starts(model, count, seed, factor)
+    fresh = measure_fresh_effects(problem, problem.experiments, options) if begins else None
+    if fresh is None:
+        return begins
+    for effect in fresh.effects:
+        values = list(list_effect_values(model, effect, fresh.scales))
+        for begin in begins:
+            value = values[rng.integers(len(values))]
+            (near,) = draw_starts(model.start(**value), 1, rng, factor)
+            begin.update({name: near[name] for name in value if name in begin})
+    return begins
+
+
 def _fit_from(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, float], float, str]:
-    """One start, where it runs: the values it ended with, misfit over noise, status."""
+    """One start, where it runs: the values it ended with, misfit over noise, status. The model's own is searched from as `fit` does."""
     model, experiments, noise, options = common
-    solution = solve(prepare_problem(model.start(**begin), experiments, noise, options), options)
-    if solution.status is TerminationStatus.INTERRUPTED:  # the search hears Ctrl-C itself
+    result: Fit | SimulationOptimum
+    if begin == {q.name: q.value for q in model.free_parameters}:
+        result = fit(model, experiments, noise=noise, options=options)
+        cost, status, fitted = result.solver.cost, result.status, result.model
+    else:
+        end = solve(prepare_problem(model.start(**begin), experiments, noise, options), options)
+        result = SimulationOptimum(model, end)
+        cost, status, fitted = end.evaluation.cost, str(end.status), result.fitted_model
+    if status == TerminationStatus.INTERRUPTED:  # the search hears Ctrl-C itself
         raise KeyboardInterrupt
-    evaluation, status = solution.evaluation, str(solution.status)
-    if not np.isfinite(evaluation.cost):
+    ratio = compute_ratio(cost, result.misfit, noise) if np.isfinite(cost) else np.inf
+    if not np.isfinite(ratio):
         return {}, np.inf, status
-    values = dict(zip(model.values, solution.variables.fixed, strict=True))
-    free = {q.name: float(values[q.name]) for q in model.free_parameters}
-    return free, evaluation.noise_ratio, status
+    return {q.name: float(fitted.values[q.name]) for q in model.free_parameters}, ratio, status

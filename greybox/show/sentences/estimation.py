@@ -33,6 +33,7 @@ STATUS = {
     "kink": "converged at a kink of the cost, as dry friction causes: no small step lowers the cost",
     "acceptable": "converged to a looser tolerance: the last digits may change",
     "iteration_limit": "stopped at the iteration limit before convergence",
+    "does_not_explain": "does not explain the records: the run is farther from them than a constant would be",
     "interrupted": "interrupted: the result is the best point so far",
     "stuck": "no further progress: the search stopped before it met the convergence test",
     "no_start": "the model cannot be simulated from the start values",
@@ -53,6 +54,11 @@ CAUSES = {
         "parameters that the data do not determine: fix one",
         "an effect that is not smooth in its parameters",
         "bounds that exclude the optimum",
+    ),
+    "does_not_explain": (
+        "start values far from physical ones",
+        "a sign or a unit that is not that of the records",
+        "a model of another plant",
     ),
     "failed": (
         "start values far from physical ones",
@@ -337,7 +343,10 @@ def _write_starts(finding: Finding) -> str:
     parts += [f"{n} at a worse one (misfit {size})" for n, size in zip(counts[1:4], larger[1:4], strict=True)]
     if len(counts) > 4:
         parts.append(f"{sum(counts[4:])} at still worse ones (from {larger[4]})")
-    return ", ".join([*parts, f"{nowhere} without a result"] if nowhere else parts)
+    parts += [f"{nowhere} without a result"] * bool(nowhere)
+    unmoved = finding.values.get("unmoved", {}).items()
+    parts += [f"{n} of the first did not move {name} and say nothing of it" for name, n in unmoved]
+    return ", ".join(parts)
 
 
 def _write_best_fits(best_fit: Mapping[str, float]) -> str:
