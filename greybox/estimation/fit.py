@@ -391,17 +391,6 @@ def explains_nothing(optimum: SimulationOptimum) -> bool:
     return not np.isfinite(optimum.evaluation.cost) or bool(list_unexplained(optimum))
 
 
-def is_worse_than_constants(optimum: SimulationOptimum) -> bool:
-    """Whether the outputs that have more than noise to explain would be nearer to a constant each than to the run, all together."""
-    ratios = [
-        (m.noise_ratio, m.noise_ratio / (1 - m.best_fit_percent / 100))
-        for name, m in optimum.misfit.items()
-        if m.best_fit_percent < 100 and not is_output_at_noise(optimum, name)
-    ]
-    run, constant = np.square(ratios).sum(axis=0) if ratios else (0.0, 0.0)
-    return bool(run > constant)
-
-
 def list_unexplained(optimum: SimulationOptimum) -> dict[str, float]:
     """Best fit in per cent of the outputs above their noise for which the free run is hardly better than a constant."""
     return {
@@ -614,17 +603,14 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
         *find_record_trends(variables, covariance, problem.experiments),
     )
     estimated_noise = [model.outputs[j] for j in variables.estimated_noise]
-    status = optimum.status
-    if status.success and isinstance(optimum, SimulationOptimum) and is_worse_than_constants(optimum):
-        status = TerminationStatus.DOES_NOT_EXPLAIN
     return Fit(
         model=optimum.fitted_model,
         parameters=parameters,
         misfit=misfit,
         traces=optimum.traces,
         solver=result_parts.SolverReport(
-            str(status),
-            status.success,
+            str(optimum.status),
+            optimum.status.success,
             float(optimum.evaluation.cost),
             {
                 "optimiser": search.solver,

@@ -111,9 +111,6 @@ class TerminationStatus(StrEnum):
     ITERATION_LIMIT = "iteration_limit"
     """Stopped at the iteration limit."""
 
-    DOES_NOT_EXPLAIN = "does_not_explain"
-    """Converged, and the run is farther from the measurements than a constant would be."""
-
     INTERRUPTED = "interrupted"
     """Stopped by the user; the best point so far is kept."""
 

@@ -33,7 +33,6 @@ STATUS = {
     "kink": "converged at a kink of the cost, as dry friction causes: no small step lowers the cost",
     "acceptable": "converged to a looser tolerance: the last digits may change",
     "iteration_limit": "stopped at the iteration limit before convergence",
-    "does_not_explain": "does not explain the records: the run is farther from them than a constant would be",
     "interrupted": "interrupted: the result is the best point so far",
     "stuck": "no further progress: the search stopped before it met the convergence test",
     "no_start": "the model cannot be simulated from the start values",
@@ -54,11 +53,6 @@ CAUSES = {
         "parameters that the data do not determine: fix one",
         "an effect that is not smooth in its parameters",
         "bounds that exclude the optimum",
-    ),
-    "does_not_explain": (
-        "start values far from physical ones",
-        "a sign or a unit that is not that of the records",
-        "a model of another plant",
     ),
     "failed": (
         "start values far from physical ones",
