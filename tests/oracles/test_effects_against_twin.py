@@ -183,7 +183,7 @@ def deviation(rig, names, substeps):
     truth = {name: TRUTHS[rig][name] for name in names}
     model = with_effects(MODELS[rig], truth)
     u = held(rig)
-    experiment = Experiment("held", np.arange(ROWS) * PERIOD[rig], {"u": u}, {})
+    experiment = Experiment("held", np.arange(ROWS) * PERIOD[rig], {"u": u}, {}, before={"u": 0.0})
     fine = max(FINE.get(name, 20) for name in names)
     twin = np.array(rig_twins.simulate(rig, model.values, truth, u, PERIOD[rig], fine))
     ours, _, _ = outputs(model, experiment, substeps)
@@ -221,7 +221,9 @@ def test_slopes_along_the_parameters_are_those_of_differences(rig, names):
     (name,) = names
     truth = TRUTHS[rig][name]
     model = with_effects(MODELS[rig], {name: truth})
-    record = to_record(model, Experiment("held", np.arange(ROWS) * PERIOD[rig], {"u": held(rig)}, {}))
+    record = to_record(
+        model, Experiment("held", np.arange(ROWS) * PERIOD[rig], {"u": held(rig)}, {}, before={"u": 0.0})
+    )
     record = replace(record, y=np.zeros((ROWS, len(model.outputs))))
     p = np.array(list(model.values.values()))
     x0, dx0 = (np.asarray(value) for value in model.system.start_function(p))
@@ -246,7 +248,7 @@ def test_slopes_along_the_parameters_are_those_of_differences(rig, names):
 @pytest.mark.parametrize("rig", MODELS)
 def test_absent_effects_leave_the_outputs_and_probes_move_them_a_little(rig):
     model = MODELS[rig]
-    experiment = Experiment("held", np.arange(ROWS) * PERIOD[rig], {"u": held(rig)}, {})
+    experiment = Experiment("held", np.arange(ROWS) * PERIOD[rig], {"u": held(rig)}, {}, before={"u": 0.0})
     plain, step, _ = outputs(model, experiment)
     record, p = to_record(model, experiment), np.array(list(model.values.values()))
     start = np.asarray(model.system.start_function(p)[0]).ravel()
@@ -296,7 +298,7 @@ def at_truth(folder):
     model, noise, allowance = true_model(folder)
     rows = []
     for name in ("estimation", "validation"):
-        record = read_csv(folder / f"{name}.csv", model)
+        record = read_csv(folder / f"{name}.csv", model, before={"u": 0.0})
         y, step, measured = outputs(model, record)
         finer, *_ = (y,) if step.per_interval else outputs(model, record, 4 * step.substeps)
         for k, output in enumerate(model.outputs):

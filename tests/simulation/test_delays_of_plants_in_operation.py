@@ -93,3 +93,15 @@ def test_a_fit_bounds_a_delay_by_its_records():
     )
     found = gb.fit(model, gb.Experiment("run", STEP * np.arange(len(u)), {"u": u, "d": d}, {"x": y}))
     assert found.parameters["delay"].value == pytest.approx(DELAY, abs=0.003)
+
+
+def test_at_rest_an_input_that_moves_the_plant_began_with_the_record():
+    """The plant rests at 0 K without the input and not under its first value; at 20 K it rests under that."""
+    for level, before in ((0.0, 0.0), (20.0, 20.0)):
+        u, d = drive(20.0)
+        d[:15] = 0.0
+        y = exact(u, d, before, level) + 0.01 * np.random.default_rng(5).normal(size=len(u))
+        record = gb.Experiment("run", STEP * np.arange(len(u)), {"u": u, "d": d}, {"x": y})
+        found = gb.fit(lag(level), record, noise={"x": 0.01}, options=gb.FitOptions(at_rest=True))
+        delay = found.parameters["delay"]
+        assert abs(delay.value - DELAY) < 4 * delay.std < 0.004 and found.misfit["x"].noise_ratio < 1.15

@@ -183,6 +183,8 @@ def prepare_problem(
     for e in group:
         model.check_measured(f"experiment {e.name!r}", e.outputs)
     arrays = [to_record(model, e) for e in group]  # before the noise: it refuses records that do not go with the model
+    if options.at_rest and not isinstance(model, PlantModel) and model.system.delays:
+        arrays = [_begin_at_rest(model, record) for record in arrays]
     if not isinstance(noise, NoiseModel):
         noise = estimate_noise(
             model,
@@ -251,6 +253,24 @@ def prepare_problem(
     if isinstance(model, PlantModel) or model.noisy_states:
         return problem
     return place_in_play(problem, {name for values in initial for name in values})
+
+
+# Share of the rates under the first input below which those without it count as rest.
+REST_SHARE = 1e-6
+
+
+def _begin_at_rest(model: Model, record: Record) -> Record:
+    """``record`` with a delayed input that was zero before, where the plant rests at its declared start without it and not under its first
+    value: the input began with the record. What is told of it stands.
+    """
+    if record.before is not None:
+        return record
+    system, p = model.system, np.array(list(model.values.values()))
+    x, first = np.asarray(system.start_function(p)[0]).ravel(), record.u[0, : system.u.numel()]
+    without = first.copy()
+    without[[d.column for d in system.delays]] = 0.0
+    rates = [float(np.linalg.norm(np.asarray(system.rhs_function(x, u, p)).ravel())) for u in (first, without)]
+    return replace(record, before=without[None, :]) if rates[1] < REST_SHARE * rates[0] else record
 
 
 def _spread_noise(record: Record, experiment: Experiment, noise: NoiseModel) -> Record:
