@@ -106,21 +106,7 @@ _WORD = re.compile(r"[^\W\d_]+|[%‰]")
 _EVERYDAY = {
     *KNOWN,
     *("h", "day", "degC", "degF", "psi", "inch", "ft", "lbf", "lb", "gal", "turn", "kgf", "g_0", "mbar", "hPa"),
-}
-_EVERYDAY |= {
-    "permille",
-    "hp",
-    "metric_horsepower",
-    "knot",
-    "Ohm",
-    "kohm",
-    "mbar",
-    "kWh",
-    "Wh",
-    "Ah",
-    "mAh",
-    "kmh",
-    "mph",
+    *("permille", "hp", "metric_horsepower", "knot", "Ohm", "kohm", "kWh", "Wh", "Ah", "mAh", "kmh", "mph"),
 }
 
 

@@ -60,12 +60,13 @@ WORDS |= dict(
 )
 # Words of readings that are in nobody's unit: each is 1.
 COUNT_WORDS = frozenset(
-    re.split(
-        " ",
-        "inc incs increment increments ink inkrement inkremente raw raws rohwert rohwerte count counts cnt cnts cts step steps schritt"
-        " schritte tick ticks pulse pulses puls imp impuls impulse digit digits dig lsb lsbs bit bits adc dac code codes dn adu stk stück"
-        " edge edges a.u. au arb arb. none n/a unitless dimensionless bool boolean flag p.u. pu",
+    word
+    for words in (
+        "inc incs increment increments ink inkrement inkremente raw raws rohwert rohwerte count counts cnt cnts cts step steps schritt",
+        "schritte tick ticks pulse pulses puls imp impuls impulse digit digits dig lsb lsbs bit bits adc dac code codes dn adu stk stück",
+        "edge edges a.u. au arb arb. none n/a unitless dimensionless bool boolean flag p.u. pu",
     )
+    for word in words.split()
 )
 COUNT = "count"
 # Texts of several meanings, or of none that a number could be converted by, and the rule.

@@ -141,6 +141,7 @@ class Stamps:
 
 def read_order(text: str) -> bool | None:
     """Whether ``dd/mm/yyyy`` puts the day first; None for a text that is no order of a date."""
+    # Letters once each, in their order: tt.mm.jjjj is German.
     letters = "".join(dict.fromkeys(c for c in text.lower() if c.isalpha()))
     return {"dmy": True, "mdy": False, "tmj": True}.get(letters)
 

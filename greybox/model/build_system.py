@@ -88,10 +88,9 @@ def _check_place(effect: EffectEquations, site: Site, relations: Iterable[str]) 
     """Refuse an effect at a place that does not have what it changes. Raises ModelError."""
     needed = [kind for kind, acts in _ACTS.items() if effect.site and any(getattr(effect, act) for act in acts)]
     if needed and site.kind not in needed:
+        article = "a" if site.kind is PlaceKind.BALANCE else "an"
         raise ModelError(
-            f"effect {effect.name!r} acts at {' or '.join(needed)}s, and {site.name!r} is an {site.kind}; name another place".replace(
-                "is an balance", "is a balance"
-            )
+            f"effect {effect.name!r} acts at {' or '.join(needed)}s, and {site.name!r} is {article} {site.kind}; name another place"
         )
     if effect.dry and site.name in relations:
         raise ModelError(

@@ -7,7 +7,7 @@ import io
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -77,14 +77,15 @@ def read_inputs(
         hold=hold,
         interpolation=interpolation,
         reading=reading,
+        before=before or {},
     ).cut(window)
     file, labels = record.file.path, record.labels
     if len(record.time) > 1:
         raise_problems(file.name, find_array_problems(record.time, record.inputs, {}, labels))
     else:
         raise_problems(file.name, [f"{len(record.time)} rows; a record needs at least 2"])
-    standing: dict[str, Any] = dict(before or {})
-    return Experiment(file.stem, record.time, record.inputs, {}, record.courses, source=file.name, before=standing)
+    past: dict[str, Any] = {"before": record.before, "before_ages": record.before_ages}
+    return Experiment(file.stem, record.time, record.inputs, {}, record.courses, source=file.name, **past)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +199,10 @@ def simulate(
         y, x = PlantKernel(model).simulate(record, np.empty((1, 0)), p, x0)
         return _to_simulation(model, experiment, y, x, step)
     y, x, step = run_freely(model, record, p, x0, method=method, substeps=substeps, policy=policy)
+    if record.before is None and model.system.delays:
+        # What the run took for its delayed inputs before the first row is told to whoever fits it, at rest or not.
+        late = [model.inputs[d.column].name for d in model.system.delays]
+        experiment = replace(experiment, before={name: experiment.inputs[name][0] for name in late})
     return _to_simulation(model, experiment, y, x, step)
 
 

@@ -5,6 +5,7 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.simulation.simulate import read_inputs
 
 STEP, DELAY, TAU = 0.02, 0.13, 0.2
 
@@ -21,11 +22,11 @@ def lag(level=0.0):
     return (model + gb.effect("transport_delay")).bound(delay=(0.0, 0.3)).start(delay=DELAY)
 
 
-def exact(u, d, before, start):
-    """The lag under held inputs, ``u`` late by six and a half rows: the exact step of each half interval."""
+def exact(u, d, before, start, first=0):
+    """The lag under held inputs, ``u`` late by six and a half rows: the exact step of each half interval, from row ``first`` on."""
     late = np.concatenate([np.full(7, before), u])
     x, half = [start], np.exp(-STEP / 2 / TAU)
-    for k in range(len(u) - 1):
+    for k in range(first, len(u) - 1):
         for part in (late[k], late[k + 1]):
             target = part + 0.5 * d[k]
             x.append(target + (x[-1] - target) * half)
@@ -105,3 +106,26 @@ def test_at_rest_an_input_that_moves_the_plant_began_with_the_record():
         found = gb.fit(lag(level), record, noise={"x": 0.01}, options=gb.FitOptions(at_rest=True))
         delay = found.parameters["delay"]
         assert abs(delay.value - DELAY) < 4 * delay.std < 0.004 and found.misfit["x"].noise_ratio < 1.15
+
+
+@pytest.mark.parametrize("at_rest", [True, False])
+def test_a_run_tells_what_it_took_for_the_input_before(at_rest):
+    """From 0 K under a first input of 1 K, where a fit at rest would take the input to have begun with the record."""
+    u, d = drive(1.0)
+    run = gb.simulate(lag(), gb.Experiment("run", STEP * np.arange(len(u)), {"u": u, "d": d}, {}))
+    record = run.record({"x": 0.01}, np.random.default_rng(3))
+    assert record.before["u"] == pytest.approx([1.0])
+    found = gb.fit(lag(), record, noise={"x": 0.01}, options=gb.FitOptions(at_rest=at_rest))
+    delay = found.parameters["delay"]
+    assert abs(delay.value - DELAY) < 4 * delay.std < 0.004 and found.misfit["x"].noise_ratio < 1.15
+
+
+def test_a_window_of_a_file_of_inputs_knows_the_rows_before_it(tmp_path):
+    u, d = drive(1.0)
+    u[:20] = 4.0
+    file = tmp_path / "drive.csv"
+    rows = "\n".join(f"{STEP * k!r},{a!r},{b!r}" for k, (a, b) in enumerate(zip(u.tolist(), d.tolist(), strict=True)))
+    file.write_text(f"time [s],u [K],d [K]\n{rows}\n")
+    part = read_inputs(file, lag(), hold="zero", window=(STEP * 22, None))
+    run = gb.simulate(lag(), part)
+    assert run.outputs["x"] == pytest.approx(exact(u, d, u[0], 0.0, first=22), abs=1e-9)

@@ -94,9 +94,7 @@ def _roles(check: ModelCheck) -> Iterator[doc.Block]:
     lines += [", ".join(named[group]) for group in ("inputs", "parameters") if named[group]]
     without = [s.name for s in check.model.states if s.name not in check.roles["states"]]
     lines += [f"without one: {', '.join(without)}"] if without else []
-    count = sum(p.effect is not None for p in check.placements)
-    effects = "\n".join([f"{count} find a place", *write_places(check.placements)])
-    yield doc.Facts([*_listed("roles", lines), ("effects", effects)], width=WIDTH)
+    yield doc.Facts([*_listed("roles", lines), ("effects", "\n".join(write_places(check.placements)))], width=WIDTH)
 
 
 def _sections(check: ModelCheck, command: str) -> Iterator[doc.Section]:

@@ -12,6 +12,7 @@ from greybox.base.document import Block, Details, TableBlock
 from greybox.model import equations_text
 from greybox.model.effects.placement import AT
 from greybox.model.effects.roles import ROLES
+from greybox.model.effects.signal_path import MISREAD
 from greybox.model.expressions.text import number_text
 from greybox.model.sites import NEEDED
 from greybox.show.sentences.registry import renders
@@ -149,14 +150,19 @@ def describe_missing(placement: Placement) -> str:
 
 
 def write_places(placements: Sequence[Placement]) -> list[str]:
-    """Lines: the effects that find a place, by site, and for the others what the model would have to have."""
+    """Lines: how many effects find a place, which they are, by site, and for the others what the model would have to have."""
+    count, misread = sum(p.effect is not None for p in placements), {effect.name for effect in MISREAD}
+    # What a record of any plant may have wrong has a place at each of its signals, and is said once.
+    of_record = dict.fromkeys(n for p in placements if p.effect and (n := p.name.partition(AT)[0]) in misread)
+    placements = [p for p in placements if p.name.partition(AT)[0] not in misread]
     sites = dict.fromkeys(p.site for p in placements if p.effect is not None)
     alike: dict[tuple[str, ...], list[str]] = {}
     for site in sites:
         names = tuple(p.name.partition(AT)[0] for p in placements if p.effect and p.site == site)
         alike.setdefault(names, []).append(site)
     at_site = {", ".join(group): names for names, group in alike.items()}
-    lines = _listed({f"at {site}" if site else "anywhere": names for site, names in at_site.items()})
+    head = f"{count} find a place{'; in the record of any signal: ' if of_record else ''}{', '.join(of_record)}"
+    lines = [head, *_listed({f"at {site}" if site else "anywhere": names for site, names in at_site.items()})]
     lacking: dict[str, list[str]] = {}
     placed = {p.name.partition(AT)[0] for p in placements if p.effect is not None}
     for p in placements:

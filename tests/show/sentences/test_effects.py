@@ -53,7 +53,7 @@ def test_an_effect_that_finds_one_place_is_not_said_to_need_another():
             Placement(at_load.name, "load", at_load, ""),
         )
     )
-    assert lines == ["  at load: coulomb_friction"]
+    assert lines == ["1 find a place", "  at load: coulomb_friction"]
 
 
 def test_a_section_of_the_page():
