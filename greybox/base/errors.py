@@ -81,7 +81,7 @@ class WorkersLostError(GreyboxError):
     fault
         What is wrong with the workers.
     results
-        The `greybox.base.parallel.JobResult` of each job, None for those that are not finished.
+        The `greybox.base.parallel.jobs.JobResult` of each job, None for those that are not finished.
     """
 
     def __init__(self, fault: str, results: Iterable[Any]) -> None:

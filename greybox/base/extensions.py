@@ -30,7 +30,7 @@ class ExtensionKind(StrEnum):
     PLANTS = "plants"
     """What may stand in the place of a model: a `greybox.simulation.plant.Plant`, or the `greybox.shell.plants.PlantKind` of a file."""
     COMMANDS = "commands"
-    """Commands of the terminal: a `greybox.shell.commands.Command`."""
+    """Commands of the terminal: a `greybox.shell.study.Command`."""
     EFFECTS = "effects"
     """Effects of the catalogue: a `greybox.Effect`, or several."""
 

@@ -300,7 +300,7 @@ class SolverReport(Printable, ReadOnly):
     Attributes
     ----------
     status
-        How it ended, in a word (`greybox.estimation.optim.TerminationStatus`).
+        How it ended, in a word (`greybox.estimation.optim.minimisation.TerminationStatus`).
     success
         Whether the parameters can be used.
     cost

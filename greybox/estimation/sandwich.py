@@ -111,7 +111,7 @@ def estimate_residual_colour(
 
 
 class ColumnLayout(Protocol):
-    """Where the Jacobian's columns of each record belong among all unknowns (`greybox.estimation.transcription.DecisionVector`)."""
+    """Where the Jacobian's columns of each record belong among all unknowns (a `DecisionVector`)."""
 
     @property
     def size(self) -> int:

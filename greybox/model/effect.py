@@ -49,7 +49,7 @@ def geometric_grid(low: float, high: float, count: int) -> list[float]:
 
 @dataclass(frozen=True)
 class DryFriction:
-    """Friction that sticks. The integrators treat it exactly, without smoothing (`greybox.integrators.dry`).
+    """Friction that sticks. The integrators treat it exactly, without smoothing (`greybox.simulation.integrators.dry_friction`).
 
     Parameters
     ----------

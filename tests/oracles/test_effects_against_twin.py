@@ -89,8 +89,8 @@ PAIRS = {
         ("backlash", "input_offset"),
     ],
 }
-# Effects of the benchmark rigs have no twin: tests/test_real_data.py has their formulas. The others are compared with small steps in
-# tests/model/effects.
+# Effects of the benchmark rigs have no twin: tests/studies/test_real_data.py has their formulas. The others are compared with small
+# steps in tests/model/effects.
 BY_HAND = {
     "input_gain",
     "reversed_input",

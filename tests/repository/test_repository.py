@@ -12,10 +12,12 @@ from contextlib import suppress
 from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 import yaml
 
+from greybox.base.extensions import ExtensionKind
 from greybox.shell.template import STUDIES
 from tests.support.sources import ROOT, parsed
 
@@ -59,6 +61,36 @@ def test_text_is_free_of(what: str) -> None:
         if (match := pattern.search(line))
     ]
     assert not found, "\n".join([f"{what} has no place in the project:", *found])
+
+
+# A place in backticks of a page, a docstring or a comment: a path of this project, or a name that Python imports.
+PLACE = re.compile(r"`((?:greybox|fits|tests|docs|benchmarks)/[\w./-]*\w)`|`(greybox(?:\.[A-Za-z_]\w*)+)`")
+
+
+def test_every_place_that_a_text_names_exists() -> None:
+    groups = {f"greybox.{kind}" for kind in ExtensionKind}  # of entry points: names that nothing imports
+    found = [
+        f"{path}:{number}: {match.group()}"
+        for path, text in texts()
+        if path.suffix in {".md", ".py"} and path.parts[0] != "tests" and path.name != "CHANGELOG.md"
+        for number, line in enumerate(text.splitlines(), 1)
+        for match in PLACE.finditer(line)
+        if not ((match[1] and (ROOT / match[1]).exists()) or (match[2] and (match[2] in groups or _is_name(match[2]))))
+    ]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(("name", "is_there"), [("greybox.base.units.Unit", True), ("greybox.base.nothing", False)])
+def test_a_place_is_a_module_or_a_name_in_one(name: str, is_there: bool) -> None:
+    assert _is_name(name) is is_there
+
+
+@cache
+def _is_name(dotted: str) -> bool:
+    """Whether Python finds the module, or what hangs on one."""
+    with suppress(AttributeError, ImportError):
+        return resolve_name(dotted) is not None
+    return False
 
 
 @pytest.mark.parametrize(
