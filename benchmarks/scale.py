@@ -1,4 +1,4 @@
-"""How cost grows with states, constants and rows: ``python -m benchmarks.scale``. Writes docs/scale.md and its figure.
+"""How cost grows with states, constants and rows: ``python -m benchmarks.scale``. Writes docs/studies/scale.md and its figure.
 
 The plants are chains of masses on springs (`benchmarks/chains.py`). Each size is measured in a process of its own with an empty cache, in
 seconds of its processor time (compilers in the background included, apart); a pass is the best of several.
@@ -337,7 +337,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--parts", nargs="*", choices=list(PARTS), help="parts to measure (all, or none beside --numbers)"
     )
-    parser.add_argument("--output", type=Path, default=ROOT / "docs")
+    parser.add_argument("--output", type=Path, default=ROOT / "docs" / "studies")
     chosen = parser.parse_args(arguments)
     if chosen.one:
         what, *given = json.loads(chosen.one)

@@ -2,7 +2,7 @@
 
 Formulas between dollar signs become MathML, which browsers typeset offline. Lines such as ``<!-- public names -->`` become what the
 program itself says: every public name with its docstring, the help of every command. Pages that
-studies write into this folder join the navigation by themselves.
+studies write into `studies/` join the navigation by themselves.
 
 The studies of the gallery and the page for those who come from other tools are run: a build fails where their code fails or prints
 something else than they show. The picture of each study is drawn from what its code has computed, by a line such as
@@ -39,10 +39,10 @@ SIZE = (5.6, 3.6)  # inches of a study's picture
 
 
 def on_config(config: Any) -> Any:
-    """Every page that is not in the navigation yet joins it: decisions under their heading, other pages at the end, as studies."""
+    """Every page of a folder that is not in the navigation yet joins it, under the heading of its folder."""
     known = set(_pages(config.nav))
     unlisted = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*.md"))
-    for heading, folder in ((DECISIONS, "decisions/"), (GALLERY, "gallery/"), (STUDIES, "")):
+    for heading, folder in ((DECISIONS, "decisions/"), (GALLERY, "gallery/"), (STUDIES, "studies/")):
         pages = [page for page in unlisted if page not in known and page.startswith(folder)]
         for section in _sections(config.nav, heading):
             section.extend(pages)

@@ -14,7 +14,9 @@ def data_folder(study: str, *files: str) -> Path:
 def data_and_docs(study: str, *files: str) -> tuple[Path, Path]:
     """`data_folder`, and the folder that the study writes its page to."""
     parser = argparse.ArgumentParser(prog=f"python -m fits.{study}")
-    parser.add_argument("--output", metavar="DOCS", type=Path, default=Path("docs"), help="folder of the page (docs)")
+    parser.add_argument(
+        "--output", metavar="DOCS", type=Path, default=Path("docs/studies"), help="folder of the page (docs/studies)"
+    )
     given = _named(parser, files)
     return given.folder, given.output
 

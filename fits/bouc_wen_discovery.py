@@ -7,9 +7,10 @@ The benchmark (Noel, Schoukens 2016) is defined by its equations, so its records
 with m = 2 kg, c = 10 N s/m, k = alpha = 5e4 N/m, beta = 800 1/m, gamma = -1100 1/m. The force is a multisine of 5 to 150 Hz, 50 N rms,
 sampled at 750 Hz; Runge-Kutta steps of a twentieth of a sampling time, sensor noise of 2e-7 m.
 
-    python -m fits.bouc_wen_discovery [--output docs]
+    python -m fits.bouc_wen_discovery [--output docs/studies]
 
-Writes `docs/bouc_wen_discovery.md`. Expected: `bouc_wen_hysteresis`, established, with gamma beyond beta; a test error at the noise.
+Writes `docs/studies/bouc_wen_discovery.md`. Expected: `bouc_wen_hysteresis`, established, with gamma beyond
+beta; a test error at the noise.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Writes the page on the controller studies: `python -m fits.control_page [--output docs]`, tables and a figure for each rig."""
+"""Writes the page on the controller studies: `python -m fits.control_page [--output docs/studies]`, tables and a figure for each rig."""
 
 from __future__ import annotations
 

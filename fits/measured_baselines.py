@@ -3,11 +3,11 @@
 Data: the silverbox (Wigren, Schoukens 2013) and the cascaded tanks (Schoukens, Mattsson, Wigren, Noel 2016), not part of this project;
 give the folder that holds both:
 
-    python -m fits.measured_baselines FOLDER [--output docs]
+    python -m fits.measured_baselines FOLDER [--output docs/studies]
 
 with ``silverbox/`` (``train_multisine.csv``, ``test_multisine.csv``, ``test_arrow.csv``) and ``cascaded_tanks/`` (``train.csv``,
 ``test.csv``). ARX, ARMAX and output error, each chosen by its own scan within the training record, and physical models, all fitted to
-the training records alone; free-run errors on the test records without their first 50 rows. Writes `docs/measured_baselines.md`.
+the training records alone; free-run errors on the test records without their first 50 rows. Writes `docs/studies/measured_baselines.md`.
 
 What to expect: on the silverbox output error is at the published error of linear models on all three records, and so is a linear
 physical model, with fewer numbers; a hardening spring takes away 95 % of the error. On the tanks linear black boxes are near the

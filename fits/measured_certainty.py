@@ -374,8 +374,8 @@ def tell_trip(trip: Mapping[str, Any]) -> str:
 
 HEAD = """# Certainty on measured records
 
-Written by `python -m fits.measured_certainty FOLDER --page docs/measured_certainty.md`: {searches} of {planned} searches, on {rigs} rigs,
-nothing told but the plain model.{note} Each learns from one record, chooses by another and is judged on a third
+Written by `python -m fits.measured_certainty FOLDER --page docs/studies/measured_certainty.md`: {searches} of {planned} searches, on {rigs}
+rigs, nothing told but the plain model.{note} Each learns from one record, chooses by another and is judged on a third
 (two falls of a ball on another ball of its kind). The records are public and not part of this project; `fits.measured_rigs` says whose
 they are and what is known of each rig.
 
@@ -386,7 +386,7 @@ they are and what is known of each rig.
 
 What took part in setting anything: the numbers that turn weights into probabilities come from simulated cases alone. All these rigs
 have been looked at while the method was built, the silverbox, EMPS and tanks longest (`real_data.md`); no number was fitted to one of
-them. So this page is no blind test. What these records taught stands [in a chapter of its own](measured_lessons.md).
+them. So this page is no blind test. What these records taught stands [in a chapter of its own](../measured_lessons.md).
 """
 BY_RIG = "What was established at each depth: right/wrong/not known.\n"
 ANSWERS = """Errors are rms of free runs on the record that chose, and on the one that took no part: an answer that is worse there

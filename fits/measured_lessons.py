@@ -38,7 +38,7 @@ def main() -> None:
     figures = {
         "lesson_scale": draw_gravity(chosen.folder / RIGS["heavy ball"].folder),
         "lesson_torque": draw_torque(chosen.folder / RIGS["pendulum"].folder),
-        "lesson_depth": draw_depths(chosen.docs / "measured_certainty.md"),
+        "lesson_depth": draw_depths(chosen.docs / "studies" / "measured_certainty.md"),
     }
     for name, figure in figures.items():
         figure.savefig(chosen.docs / "figures" / f"{name}.svg", metadata={"Date": None})

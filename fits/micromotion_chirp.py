@@ -5,7 +5,7 @@ Records of the stand-in (`fits.micromotion_twin`: generated, not measured): the 
 constant are given, three combinations and the delay are fitted. Against it the paper's black boxes (its best ARX and ARMAX,
 Monte-Carlo smoothing with its intervals) and output-error models, which the paper does not have.
 
-    python -m fits.micromotion_chirp [--output docs]
+    python -m fits.micromotion_chirp [--output docs/studies]
 
 What to expect: on the step every output-error kind of fit looks alike (within 5 %), on the sweep they differ by a factor of 2.5, and
 nothing in the step says which to take. The physical model has no such choice and keeps its error. ARX and ARMAX are off by 13 to 23

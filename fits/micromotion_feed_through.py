@@ -8,7 +8,7 @@ it the branch of a parabola, `A wn^2 Td^2 / 2` at the edge.
 On records of the stand-in (`fits.micromotion_twin`: generated, not measured) with known delays: equation 17 by least squares without
 intervals, Monte-Carlo smoothing with the paper's intervals, and the physical model with and without a delay.
 
-    python -m fits.micromotion_feed_through [--output docs]
+    python -m fits.micromotion_feed_through [--output docs/studies]
 
 What to expect: the printed phase says 1.58 samples, and the fit with a delay finds the stand-in's 1.56 within its interval and needs
 no feed-through. But the delay explains 1.35 um of the 4.02: the rest is the ratio 0.915, the best of ten draws of an interval that ends

@@ -4,9 +4,9 @@ On a stand-in for the rig (`fits.micromotion_twin`: generated, not measured) the
 ARMAX models, Monte-Carlo smoothing, least squares on the smoothed (S-E) and on the raw response (D-E) for seven numerators, and
 the s-domain. All errors are mean squares of the free run over the whole record in um^2 (equation 1).
 
-    python -m fits.micromotion_page [--output docs]
+    python -m fits.micromotion_page [--output docs/studies]
 
-writes the part on this paper of `docs/paper_tables.md` and three figures.
+writes the part on this paper of `docs/studies/paper_tables.md` and three figures.
 
 What to expect: Table 1 and the D-E row of Table 3 within 10 % of print, the pattern of Table 2 (ARMAX better than ARX, best at
 na = 4 and nk = 3), the spectral peak to every digit. S-E with two or one numerator coefficients depends on which draws were lucky.

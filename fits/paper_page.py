@@ -30,7 +30,9 @@ Say = Callable[[str], object]
 def docs_folder(study: str) -> Path:
     """The folder that the command line names, `docs` if it names none."""
     parser = argparse.ArgumentParser(prog=f"python -m fits.{study}")
-    parser.add_argument("--output", metavar="FOLDER", type=Path, default=Path("docs"), help="folder of the page (docs)")
+    parser.add_argument(
+        "--output", metavar="FOLDER", type=Path, default=Path("docs/studies"), help="folder of the page (docs/studies)"
+    )
     folder: Path = parser.parse_args().output
     return folder
 

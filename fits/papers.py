@@ -1,8 +1,8 @@
 """Everything about the two papers in one go: their tables and figures, and what only the physical model can do.
 
-    python -m fits.papers [--output docs]
+    python -m fits.papers [--output docs/studies]
 
-writes `docs/paper_tables.md` and its figures anew; each study asserts its verdict on the way. A few minutes.
+writes `docs/studies/paper_tables.md` and its figures anew; each study asserts its verdict on the way. A few minutes.
 """
 
 from __future__ import annotations

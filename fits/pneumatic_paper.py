@@ -4,9 +4,9 @@ On a stand-in for the rig (`fits.pneumatic_twin`: generated, not measured) the n
 models of Tables 10.3 to 10.5. "Simulation focus" is read as least squares whose rows are prefiltered once by 1 / A (Steiglitz and
 McBride), with zeros before the record; best fit and MSE belong to the free run from rest, the loss to the one-step error.
 
-    python -m fits.pneumatic_page [--output docs]
+    python -m fits.pneumatic_page [--output docs/studies]
 
-writes the part on this paper of `docs/paper_tables.md` and five figures.
+writes the part on this paper of `docs/studies/paper_tables.md` and five figures.
 
 What to expect: Table 10.2 exactly, with the amplitudes that belong to it; the variance of position within 10 %; the second input
 fitted best and the first worst; the loss of two and three poles. Not the dips of (3,3) and (4,4) with the third input, nor the

@@ -6,7 +6,7 @@ stand-in (`fits.pneumatic_twin`: generated, not measured) under multisines from 
 constants are fitted, the supply is a known one and simply changed. It is not the stand-in's model: no leak at the valve's closed
 edges, no bristles. Black boxes (ARX, output error, Hammerstein) are chosen by a scan, on the record by which they are then judged.
 
-    python -m fits.pneumatic_supply [--output docs]
+    python -m fits.pneumatic_supply [--output docs/studies]
 
 What to expect: the constants found at 700 kPa predict position and pressures at 800 kPa as well as at 700. The black boxes of the
 chamber pressure are off by more than 50 kPa until they are fitted anew. Position tells less: with a choked exhaust the speed is

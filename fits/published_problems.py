@@ -478,7 +478,7 @@ def study(name: str, random: int) -> dict[str, Any]:
 
 PAGE = """# Published problems
 
-Written by `python -m fits.published_problems --page docs/published_problems.md`. {regressions} nonlinear regressions of the
+Written by `python -m fits.published_problems --page docs/studies/published_problems.md`. {regressions} nonlinear regressions of the
 Statistical Reference Datasets (NIST/ITL StRD) and {kinetics} reaction mechanisms (alpha-pinene: Box and others, Technometrics 15,
 1973; nitric oxide: Bellman and others, Mathematical Biosciences 1, 1967; gas oil and chain: Tjoa and Biegler, Industrial and
 Engineering Chemistry Research 30, 1991, the first with the optimum of COPS 3; methanol: Maria, Chemical Engineering Science 44,

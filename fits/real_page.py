@@ -22,7 +22,8 @@ form of the tanks' reading curve.
 All errors are those of free runs, as root mean squares.
 
 No model is complete on any of the three: what is left stays above the sensors' noise. The verdict is *partly* where effects are established
-beside that, and *unknown* where none is, however much of the error goes. [What measured records taught us](measured_lessons.md) says why.
+beside that, and *unknown* where none is, however much of the error goes. [What measured records taught
+us](../measured_lessons.md) says why.
 """
 
 
@@ -30,7 +31,9 @@ def arguments(study: str, *files: str) -> tuple[Path, Path]:
     """The folder of the records and the folder of the page from the command line; without the files a usage line and exit code 2."""
     parser = argparse.ArgumentParser(prog=f"python -m fits.{study}")
     parser.add_argument("folder", metavar="FOLDER", type=Path, help=f"folder with {', '.join(files)}")
-    parser.add_argument("--output", metavar="DOCS", type=Path, default=Path("docs"), help="folder of the page (docs)")
+    parser.add_argument(
+        "--output", metavar="DOCS", type=Path, default=Path("docs/studies"), help="folder of the page (docs/studies)"
+    )
     given = parser.parse_args()
     missing = [name for name in files if not (given.folder / name).is_file()]
     if missing:

@@ -1,6 +1,6 @@
 """Eight processes in one folder, eight threads, processes that fork: the same answers, and nothing lost.
 
-Slow; ``RELIABILITY_WRITE=1`` writes the figures to ``docs/reliability.md``.
+Slow; ``RELIABILITY_WRITE=1`` writes the figures to ``docs/studies/reliability.md``.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Odd files through the command, and mutations of valid files through the readers: only answers and clear sentences come out.
 
-Slow; ``RELIABILITY_SIZE=10`` makes ten times as many trials, ``RELIABILITY_WRITE=1`` writes the figures to ``docs/reliability.md``.
+Slow; ``RELIABILITY_SIZE=10`` makes ten times as many trials, ``RELIABILITY_WRITE=1`` writes the figures to ``docs/studies/reliability.md``.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Mutated results, journals and studies: a right answer or one sentence, never a traceback.
 
-Slow; ``RELIABILITY_SIZE=10`` makes ten times as many trials, ``RELIABILITY_WRITE=1`` writes the figures to ``docs/reliability.md``.
+Slow; ``RELIABILITY_SIZE=10`` makes ten times as many trials, ``RELIABILITY_WRITE=1`` writes the figures to ``docs/studies/reliability.md``.
 """
 
 from __future__ import annotations

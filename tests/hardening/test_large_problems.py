@@ -1,6 +1,6 @@
 """Problems larger than any rig's: an answer or a sentence, in a bounded memory.
 
-Slow; ``RELIABILITY_SIZE=0.1`` makes them a tenth as large, ``RELIABILITY_WRITE=1`` writes the figures to ``docs/reliability.md``.
+Slow; ``RELIABILITY_SIZE=0.1`` makes them a tenth as large, ``RELIABILITY_WRITE=1`` writes the figures to ``docs/studies/reliability.md``.
 """
 
 from __future__ import annotations

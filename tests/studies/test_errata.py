@@ -1,4 +1,4 @@
-"""The errata of both papers, one proof each; `docs/errata.md` lists them under the same numbers."""
+"""The errata of both papers, one proof each; `docs/studies/errata.md` lists them under the same numbers."""
 
 import re
 from pathlib import Path
@@ -28,7 +28,7 @@ from models.pneumatic_pistons import viscous_piston
 from models.pneumatic_pva import pneumatic_pva
 from models.pneumatic_valves import linear_valve
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "errata.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "studies" / "errata.md"
 SIGMA, W = wang.SMOOTHED.decay, wang.SMOOTHED.frequency
 TS = wang.SAMPLING_TIME
 

@@ -2,7 +2,7 @@
 
 The ordinary run looks at a few records; ``-m slow`` at 200 of each kind, and writes nothing. ``python -m
 tests.studies.test_interval_coverage`` prints
-the table of ``docs/coverage.md``.
+the table of ``docs/studies/coverage.md``.
 """
 
 from __future__ import annotations

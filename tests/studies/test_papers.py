@@ -20,7 +20,7 @@ from fits import pneumatic_printed as chapter
 from fits.paper_page import rms_log
 from greybox.comparison.blackbox.monte_carlo_smoothing import find_resonance
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "paper_tables.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "studies" / "paper_tables.md"
 
 
 @pytest.fixture(scope="module")

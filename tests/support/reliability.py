@@ -1,4 +1,4 @@
-"""The table of `docs/reliability.md`: what was tried, how often, and what failed. Studies write their rows, and read their sizes."""
+"""The table of `docs/studies/reliability.md`: what was tried, how often, and what failed. Studies write rows, and read sizes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import re
 from pathlib import Path
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "studies" / "reliability.md"
 SIZE, WRITE = "RELIABILITY_SIZE", "RELIABILITY_WRITE"
 
 
