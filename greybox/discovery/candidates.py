@@ -18,6 +18,7 @@ from greybox.model import Effect, Model
 from greybox.model.effects import Scales, all_effects, applicable_effects, measure_scales, tailor_to_record
 from greybox.model.effects.placement import AT
 from greybox.model.effects.starts import list_effect_values, within_bounds
+from greybox.model.parts import RigParts, read_parts
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,12 @@ def list_candidates(
     _check_names(without, [e.name for e in (*entries, *all_effects())])
     left_out = [e.name for e in entries if {e.name, e.name.partition(AT)[0]} & set(without)]
     not_tried = {name: Finding(DiscoveryCode.EFFECT_LEFT_OUT, subject=name) for name in left_out}
+    # Who names effects expects them: beside a list only what somebody said of the rig rules them out.
+    parts = RigParts() if effects else read_parts(model).told if model.candidates else read_parts(model)
+    for entry in entries:
+        if lacking := parts.missing(entry):
+            values = {"part": lacking, "reason": parts.lacks[lacking]}
+            not_tried.setdefault(entry.name, Finding(DiscoveryCode.PART_MISSING, subject=entry.name, values=values))
     candidates: list[Effect] = []
     for entry in entries:
         if entry.name in not_tried:

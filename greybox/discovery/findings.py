@@ -81,6 +81,7 @@ class DiscoveryCode(StrEnum):
     TRIED_AS_OTHERS = "tried_as_others"
     TAKEN_BY_CONSTANTS = "taken_by_constants"
     EFFECT_LEFT_OUT = "effect_left_out"
+    PART_MISSING = "part_missing"
     NOT_REACHED = "not_reached"
     CANDIDATE_FAILED = "candidate_failed"
     CANDIDATE_NOT_SIMULATED = "candidate_not_simulated"

@@ -13,6 +13,7 @@ import numpy as np
 
 from greybox.base import ModelError, nearest
 from greybox.model.balance import Balance
+from greybox.model.parts import Occurrence
 from greybox.model.signals import Expression, NamedValues, Parameter, State
 
 # In the place of a balance's name: all of them.
@@ -123,6 +124,12 @@ class Effect:
         Names of effects that together say exactly the same: where all of them are candidates this one is not, as no record could tell.
     parity
         Its symmetry in the variable it depends on: even, odd, linear, slow.
+    needs
+        Names of parts (`greybox.model.parts`), one of which a rig must have for it; none where any rig may have it.
+    occurs
+        How usual it is on a rig that may have it; an effect of one's own is there because somebody expects it.
+    occurs_with
+        Part -> how usual it is on a rig with that part, the first that is there counts.
     tells_apart
         Which experiment separates it from its look-alikes.
     source
@@ -177,6 +184,9 @@ class Effect:
     approaches: Sequence[str] = ()
     stands_for: Sequence[str] = ()
     parity: str = ""
+    needs: Sequence[str] = ()
+    occurs: Occurrence = Occurrence.COMMON
+    occurs_with: Mapping[str, Occurrence] = field(default_factory=dict)
     tells_apart: str = ""
     source: str = ""
     amplitudes: Sequence[str] = ()

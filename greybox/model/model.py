@@ -14,6 +14,7 @@ import numpy as np
 from greybox.base import ModelError, Printable, nearest
 from greybox.model import balance, build_system, process_noise, validation
 from greybox.model.effect import Effect
+from greybox.model.parts import check_parts
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
 from greybox.model.sites import Site
 from greybox.model.system import BoundEffect, Statement, System
@@ -45,6 +46,9 @@ class Model(Printable):
     candidates
         Names of the catalogue's effects that this rig may hide. None given means all that have a place in it. What a record of any plant
         may get wrong (a sign, a row) is tried as well.
+    has, lacks
+        Names of parts that the rig has, and of parts that it has not (`greybox.model.parts.PARTS`): effects that need one it lacks are not
+        tried, and among sets of effects that do equally well those that are usual with its parts come first.
     ties
         Parameters that others give; write ``model.tie(Kv="Kf")``.
 
@@ -87,12 +91,15 @@ class Model(Printable):
     rules: Sequence[validation.Rule] = ()
     candidates: Sequence[str] = ()
     ties: tuple[Tie, ...] = ()
+    has: Sequence[str] = ()
+    lacks: Sequence[str] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """As it was stated: CasADi expressions are not sent to another process, a model is written out anew where it arrives."""
         return _restate, (type(self), {f.name: getattr(self, f.name) for f in fields(self) if f.init})
 
     def __post_init__(self) -> None:
+        check_parts(f"model {self.name!r}", self.has, self.lacks)
         system, parameters = self.system, self.all_parameters  # writing the equations out checks them
         validation.check_outputs_known(self.title, self.rules, [o.name for o in self.outputs])
         process_noise.check_process_noise(self.title, system, parameters)
@@ -277,6 +284,31 @@ class Model(Printable):
                 f"model {self.title!r} has no effect {effect!r}; {nearest(effect, [e.name for e in self.effects])}"
             )
         return replace(self, effects=tuple(e for e in self.effects if e.name != effect))
+
+    def with_parts(self, *, has: Sequence[str] = (), lacks: Sequence[str] = ()) -> Model:
+        """The model of a rig that has these parts and lacks those, beside what it says already; what is said now counts.
+
+        Parameters
+        ----------
+        has, lacks
+            Names of parts (`greybox.model.parts.PARTS`).
+
+        Returns
+        -------
+        Model
+            A new model.
+
+        Raises
+        ------
+        ModelError
+            For unknown names, with the nearest ones, and for a part in both.
+
+        Examples
+        --------
+        ``model.with_parts(has=["gear"], lacks=["fluid"])``: friction of a gear is usual, and the drag of the air is not tried.
+        """
+        had, lacked = ([n for n in of if n not in (*has, *lacks)] for of in (self.has, self.lacks))
+        return replace(self, has=(*had, *has), lacks=(*lacked, *lacks))
 
     def fix(self, *names: str, **values: float) -> Model:
         """The model with parameters that are known, so that a fit leaves them as they are.

@@ -44,6 +44,13 @@ def effects(ctx: click.Context, incomplete: str) -> list[Offer]:
     return _beginning(((before + e.name, e.equation) for e in all_effects()), incomplete)
 
 
+def parts(ctx: click.Context, incomplete: str) -> list[Offer]:
+    """Parts that a rig may have."""
+    from greybox.model.parts import PARTS
+
+    return _beginning(((part.name, part.meaning) for part in PARTS), incomplete)
+
+
 def constants(ctx: click.Context, incomplete: str) -> list[Offer]:
     """``NAME=`` of the parameters of the model that was named, with those of its effects."""
     return _offered(ctx, incomplete, _constants)

@@ -33,6 +33,7 @@ def build_model(study: Study) -> Model:
         raise GreyboxError(objection)
     model = _apply_schedules(find_model(study.model), study)
     model = _apply_process_noise(add_effects(model, study.effects), study.process_noise)
+    model = model.with_parts(has=study.has, lacks=study.lacks)
     return kind.set_parameters(model, study) if kind else set_parameters(model, study)
 
 

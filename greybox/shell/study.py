@@ -137,6 +137,11 @@ class Study:
         "Do not try this effect of the catalogue; may be repeated.", completion.effects)
     without_family = Option(kinds.Names(split=True), "--without-family NAME", "without_family",
         "Do not try this effect, nor those that contain it or that it contains (coulomb_friction: all dry friction).", completion.effects)
+    has = Option(kinds.Names(split=True), "--has PART", "has",
+        "The rig has this part, such as gear or fluid (docs: catalogue); may be repeated. What is usual with it comes first.",
+        completion.parts)
+    lacks = Option(kinds.Names(split=True), "--lacks PART", "lacks",
+        "The rig has no such part: effects that need it are not tried; may be repeated.", completion.parts)
     further = Option(kinds.Switch(), "--further", "further",
         "Search for smaller effects even where the residual is noise. Where more is left, they are always searched for.")
     laws = Option(kinds.Switch(), "--laws", "laws",

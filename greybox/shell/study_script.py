@@ -59,7 +59,9 @@ def _model_lines(study: Study, folder: Path, variable: str = "model") -> list[st
         lines.append(f"{variable} = {variable}.schedule({name!r}, by={by!r}{about})")
     for name in study.effects:
         lines.append(f"{variable} = {variable} + {'gb.effect' if _is_shipped(name) else 'find_effect'}({name!r})")
+    parts = {key: listed for key in ("has", "lacks") if (listed := list(getattr(study, key)))}
     steps = [
+        _call("with_parts", parts),
         _call("with_process_noise", study.process_noise),
         _call("free", dict.fromkeys(study.free)),
         _call("start", study.start),

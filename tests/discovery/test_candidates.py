@@ -56,6 +56,24 @@ def test_a_model_may_name_its_candidates(scales):
     assert listed.not_tried["quadratic_stiffness"].code == Code.NOT_A_CANDIDATE
 
 
+def test_what_the_rig_cannot_have_is_not_tried(scales):
+    free = replace(silverbox, candidates=(), lacks=("spring", "rubber"))
+    listed = list_candidates(free, scales, FailureLog())
+    out = {name: finding.values for name, finding in listed.not_tried.items() if finding.code == Code.PART_MISSING}
+    assert {"cubic_stiffness", "quadratic_stiffness", "viscoelastic_creep"} <= set(out)
+    assert out["viscoelastic_creep"] == {"part": "rubber", "reason": "told"}
+    assert not {e.name for e in listed.effects} & set(out)
+    # Who gives effects expects them.
+    given = list_candidates(free, scales, FailureLog(), effects=[gb.effect("cubic_stiffness")])
+    assert [e.name for e in given.effects] == ["cubic_stiffness"]
+
+
+def test_beside_a_list_of_the_model_only_what_is_said_rules_out(scales):
+    few = replace(silverbox, candidates=("cubic_stiffness", "coulomb_friction"), lacks=("contact",))
+    names = [e.name for e in list_candidates(few, scales, FailureLog()).effects]
+    assert "cubic_stiffness" in names and "coulomb_friction" not in names
+
+
 def test_without_a_list_of_its_own_nothing_is_left_out_by_one():
     """`check` shows a place for friction that differs by direction; two candidates together are exactly that."""
     record = {"time": [k * 1e-1 for k in range(50)], "u": [0.1] * 50}

@@ -158,8 +158,13 @@ def _model(plant: ExportedModel) -> str:
     rules = [text for rule in model.rules if (text := _rule(rule, model))]
     if rules:
         arguments.append(f"rules={items('[', rules, ']', 1)}")
-    if model.candidates:
-        arguments.append(f"candidates={call('', [literal(name) for name in model.candidates], 1)}")
+    names = {key: list(map(literal, getattr(model, key))) for key in ("candidates", "has", "lacks")}
+    # One name alone in brackets is no tuple.
+    arguments += [
+        f"{key}={call('', listed, 1) if len(listed) > 1 else f'({listed[0]},)'}"
+        for key, listed in names.items()
+        if listed
+    ]
     return call("Model", arguments, 0, 1)
 
 

@@ -11,6 +11,7 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect, amplitude_parameter, geometric_grid, shape_parameter
 from greybox.model.effects.scales import Scales
+from greybox.model.parts import Occurrence
 from greybox.model.signals import Expression, NamedValues, State
 
 
@@ -96,6 +97,9 @@ cubic_stiffness = Effect(
     source="Duffing oscillator: first odd term of the series of a symmetric spring",
     amplitudes=("K3",),
     probe=lambda s: {"K3": s.visible_force / s.displacement**3},
+    needs=("spring", "rubber"),
+    occurs=Occurrence.EXOTIC,
+    occurs_with={"voice_coil": Occurrence.USUAL, "spring": Occurrence.COMMON},
 )
 
 quadratic_stiffness = Effect(
@@ -116,6 +120,9 @@ quadratic_stiffness = Effect(
     source="first even term of the series of an asymmetric spring",
     amplitudes=("K2",),
     probe=lambda s: {"K2": s.visible_force / s.displacement**2},
+    needs=("spring", "rubber"),
+    occurs=Occurrence.EXOTIC,
+    occurs_with={"voice_coil": Occurrence.COMMON, "spring": Occurrence.OCCASIONAL},
 )
 
 viscoelastic_creep = Effect(
@@ -139,6 +146,9 @@ viscoelastic_creep = Effect(
     probe=lambda s: {"K1": s.visible_force / s.displacement},
     # Faster than the body itself it is damping, slower than the record a stiffness.
     grid=lambda s: {"tau1": geometric_grid(max(s.fastest, 4 * s.period), 0.5 * s.duration, 5)},
+    needs=("rubber",),
+    occurs=Occurrence.EXOTIC,
+    occurs_with={"rubber": Occurrence.COMMON},
 )
 
 bouc_wen_hysteresis = Effect(
@@ -170,6 +180,9 @@ bouc_wen_hysteresis = Effect(
     probe=lambda s: {"alpha": s.visible_force / s.displacement},
     grid=lambda s: {"beta": geometric_grid(0.3 / s.displacement, 30 / s.displacement, 5), "gamma": [0.0]},
     limits=_hysteresis_limits,
+    needs=("hysteretic",),
+    occurs=Occurrence.EXOTIC,
+    occurs_with={"hysteretic": Occurrence.USUAL},
 )
 
 # Stiffness (N/m) and damping (N s/m) between two bodies that do not feel each other. Positive, so that a refit sees a change of mass,
@@ -218,6 +231,9 @@ second_mode = Effect(
     neutral={"k2": NEUTRAL_COUPLING, "c2": NEUTRAL_COUPLING},
     grid=_second_grid,
     limits=_second_limits,
+    needs=("elastic",),
+    occurs=Occurrence.RARE,
+    occurs_with={"elastic": Occurrence.COMMON},
 )
 
 return_spring = Effect(
@@ -236,6 +252,8 @@ return_spring = Effect(
     source="Hooke's law, for a cylinder that is pushed back by a spring",
     amplitudes=("Ks",),
     probe=lambda s: {"Ks": s.visible_force / s.displacement},
+    needs=("spring",),
+    occurs=Occurrence.RARE,
 )
 
 ELASTICITY: tuple[Effect, ...] = (
@@ -360,6 +378,8 @@ end_stop = Effect(
     grid=_one_grid,
     limits=_one_limits,
     from_parent=_one_from_spring,
+    needs=("stop",),
+    occurs=Occurrence.RARE,
 )
 
 end_stops = Effect(
@@ -381,6 +401,8 @@ end_stops = Effect(
     grid=lambda s: {"gap": [share * s.displacement for share in STOP_EDGES]},
     limits=lambda s: {"kc": _stiffest(s), "gap": (NEAREST_STOP * s.displacement, s.displacement)},
     from_parent=_both_from_cubic,
+    needs=("stop",),
+    occurs=Occurrence.RARE,
 )
 
 cogging = Effect(
@@ -403,6 +425,9 @@ cogging = Effect(
     probe=lambda s: {"F": s.visible_force, "Fq": s.visible_force},
     grid=_pitch_grid,
     limits=_pitch_limits,
+    needs=("magnets",),
+    occurs=Occurrence.EXOTIC,
+    occurs_with={"magnets": Occurrence.COMMON},
 )
 
 CONTACT: tuple[Effect, ...] = (end_stop, end_stops, cogging)

@@ -10,6 +10,7 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect, amplitude_parameter, geometric_grid, shape_parameter
 from greybox.model.effects.scales import Scales
+from greybox.model.parts import Occurrence
 from greybox.model.signals import Expression, NamedValues, State
 
 
@@ -44,6 +45,9 @@ force_constant_droop = Effect(
     source="bell-shaped force of a voice coil over its stroke; Klippel 2006, Loudspeaker nonlinearities, Bl(x)",
     amplitudes=("a",),
     probe=lambda s: {"a": 0.03 / s.displacement**2},
+    needs=("voice_coil",),
+    occurs=Occurrence.EXOTIC,
+    occurs_with={"voice_coil": Occurrence.USUAL},
 )
 
 winding_heating = Effect(
@@ -69,6 +73,9 @@ winding_heating = Effect(
     amplitudes=("Rth",),
     probe=lambda s: {"Rth": 0.1 / (s.input * s.current)},
     grid=lambda s: {"tau_th": geometric_grid(0.02 * s.duration, 2 * s.duration, 4)},
+    needs=("motor", "voice_coil"),
+    occurs=Occurrence.RARE,
+    occurs_with={"voice_coil": Occurrence.COMMON},
 )
 
 eddy_current = Effect(
@@ -97,6 +104,9 @@ eddy_current = Effect(
     amplitudes=("Re",),
     neutral={"Re": 1e6},
     grid=lambda s: {"Re": [factor * s.input / s.current for factor in (30.0, 5.0, 1.0, 0.3)]},
+    needs=("motor", "voice_coil"),
+    occurs=Occurrence.RARE,
+    occurs_with={"voice_coil": Occurrence.COMMON},
 )
 
 saturating_inductance = Effect(
@@ -113,6 +123,8 @@ saturating_inductance = Effect(
     source="differential inductance of a coil on iron: R. Erickson, D. Maksimovic, Fundamentals of Power Electronics",
     amplitudes=("a",),
     probe=lambda s: {"a": 0.1 / s.current**2},
+    needs=("motor", "voice_coil"),
+    occurs=Occurrence.RARE,
 )
 
 # Share of the largest current within which the drop of a contact builds up.
@@ -142,6 +154,8 @@ brush_drop = Effect(
     amplitudes=("Ub",),
     probe=lambda s: {"Ub": s.visible_force},
     grid=lambda s: {"ib": [BRUSH_CURRENT * s.current]},
+    needs=("motor",),
+    occurs=Occurrence.RARE,
 )
 
 ELECTRICAL: tuple[Effect, ...] = (
@@ -211,6 +225,7 @@ radiation_loss = Effect(
     amplitudes=("kr",),
     probe=_radiation_probe,
     grid=_celsius_offset,
+    occurs=Occurrence.RARE,
 )
 
 # Share of the largest temperature below which convection counts as proportional: its power has no slope at zero excess.
@@ -241,6 +256,7 @@ natural_convection = Effect(
     amplitudes=("c",),
     probe=lambda s: {"c": s.visible_force / s.peaks["temperature"] ** 1.25},
     grid=lambda s: {"least": [LEAST_EXCESS * s.peaks["temperature"]]},
+    occurs=Occurrence.RARE,
 )
 
 heat_storage = Effect(
@@ -263,6 +279,8 @@ heat_storage = Effect(
     amplitudes=("g",),
     probe=lambda s: {"g": s.visible_force / s.peaks["temperature"]},
     grid=lambda s: {"tau_g": geometric_grid(0.02 * s.duration, s.duration, 4)},
+    needs=("second_body",),
+    occurs=Occurrence.USUAL,
 )
 
 THERMAL: tuple[Effect, ...] = (radiation_loss, natural_convection, heat_storage)

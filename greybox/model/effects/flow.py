@@ -10,6 +10,7 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect, amplitude_parameter, geometric_grid, shape_parameter
 from greybox.model.effects.scales import VISIBLE_SHARE, Scales
+from greybox.model.parts import Occurrence
 from greybox.model.signals import Expression, NamedValues, State
 
 # What keeps the equations finite where a trial step of a fit leaves the physical range.
@@ -89,6 +90,8 @@ chamber_leakage = Effect(
     amplitudes=("kl",),
     # Both pressures move the piston at the rate of the chambers; a hundredth of it is visible but small.
     probe=lambda s: {"kl": 0.02 / s.fastest},
+    needs=("seal",),
+    occurs=Occurrence.OCCASIONAL,
 )
 
 choked_flow = Effect(
@@ -113,6 +116,7 @@ choked_flow = Effect(
     ),
     source="ISO 6358-1; Linear ARX modelling of pneumatic actuator system (chapter 10), eq. 10.1",
     grid=lambda s: {"b": [0.2, 0.45], "ce": [0.7, 1.0, 1.5]},
+    occurs=Occurrence.COMMON,
 )
 
 supply_droop = Effect(
@@ -134,6 +138,7 @@ supply_droop = Effect(
     amplitudes=("r",),
     probe=lambda s: {"r": 0.03 / s.input},
     grid=lambda s: {"tau_d": geometric_grid(max(s.fastest, 4 * s.period), 0.2 * s.duration, 4)},
+    occurs=Occurrence.RARE,
 )
 
 position_dependent_volume = Effect(
@@ -153,6 +158,7 @@ position_dependent_volume = Effect(
     source="Linear ARX modelling of pneumatic actuator system (chapter 10), eq. 10.3",
     amplitudes=("scale",),
     probe=lambda s: {"scale": 0.1},
+    occurs=Occurrence.OCCASIONAL,
 )
 
 # Share of the largest pressure below which a leak is laminar: the root has no slope at zero.
@@ -181,6 +187,7 @@ root_leak = Effect(
     amplitudes=("c",),
     probe=lambda s: {"c": s.visible_force / s.store**0.5},
     grid=lambda s: {"laminar": [LAMINAR_SHARE * s.store]},
+    occurs=Occurrence.RARE,
 )
 
 pump_back_pressure = Effect(
@@ -198,6 +205,7 @@ pump_back_pressure = Effect(
     amplitudes=("b",),
     probe=lambda s: {"b": VISIBLE_SHARE / s.store},
     limits=lambda s: {"b": (0.0, 10.0 / s.store)},
+    occurs=Occurrence.RARE,
 )
 
 FLOW: tuple[Effect, ...] = (
@@ -271,6 +279,7 @@ upper_overflow = Effect(
     probe=_overflow_probe,
     grid=lambda s: {"edge": [share * s.peaks["upper_head"] for share in OVERFLOW_EDGES], "share": [0.2, 0.6]},
     limits=_overflow_limits,
+    occurs=Occurrence.RARE,
 )
 
 lower_overflow = Effect(
@@ -292,6 +301,7 @@ lower_overflow = Effect(
     probe=_overflow_probe,
     grid=lambda s: {"edge": [share * s.peaks["lower_head"] for share in OVERFLOW_EDGES]},
     limits=_overflow_limits,
+    occurs=Occurrence.RARE,
 )
 
 overflow = Effect(
@@ -314,6 +324,7 @@ overflow = Effect(
     probe=lambda s: {"ko": OVERFLOW_RATE * s.storage / s.period},
     grid=lambda s: {"edge": [share * s.store for share in OVERFLOW_EDGES]},
     limits=lambda s: {"ko": (0.0, FASTEST_OVERFLOW * s.storage / s.period)},
+    occurs=Occurrence.RARE,
 )
 
 linear_leak = Effect(
@@ -330,6 +341,7 @@ linear_leak = Effect(
     source="laminar gap: flow proportional to the pressure",
     amplitudes=("kl",),
     probe=lambda s: {"kl": s.visible_force / s.store},
+    occurs=Occurrence.RARE,
 )
 
 # A limit, in the unit of the signal, that no record reaches.
@@ -358,6 +370,9 @@ reading_curve = Effect(
     amplitudes=("y0", "bow"),
     probe=lambda s: {"y0": 0.02 * s.reading, "bow": 0.1},
     grid=lambda s: {"full": [s.reading]},
+    needs=("analogue",),
+    occurs=Occurrence.EXOTIC,
+    occurs_with={"analogue": Occurrence.OCCASIONAL},
 )
 
 # Where the range of a sensor may end, as shares of the range of its readings.
@@ -399,6 +414,7 @@ sensor_saturation = Effect(
     amplitudes=("y_max",),
     neutral={"y_max": OUT_OF_REACH},
     grid=_range_ends,
+    occurs=Occurrence.RARE,
 )
 
 LEVEL: tuple[Effect, ...] = (upper_overflow, lower_overflow, overflow, linear_leak, reading_curve, sensor_saturation)

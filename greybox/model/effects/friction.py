@@ -10,6 +10,7 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import DryFriction, Effect, amplitude_parameter, geometric_grid, shape_parameter
 from greybox.model.effects.scales import BOUNDS_REACH, VISIBLE_SHARE, Scales
+from greybox.model.parts import Occurrence
 from greybox.model.signals import Expression, NamedValues, State
 
 FULL = "Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky 1998, Friction models and compensation"
@@ -119,6 +120,9 @@ coulomb_friction = Effect(
     source=f"Coulomb 1785; {FULL}",
     amplitudes=("Fc",),
     probe=lambda s: {"Fc": s.visible_force},
+    needs=("contact",),
+    occurs=Occurrence.USUAL,
+    occurs_with={"free": Occurrence.COMMON},
 )
 
 stribeck_friction = Effect(
@@ -138,6 +142,9 @@ stribeck_friction = Effect(
     grid=lambda s: {"vs": _speed_grid(s)},
     limits=_fall_within_record,
     from_parent=_stribeck_from_coulomb,
+    needs=("contact",),
+    occurs=Occurrence.OCCASIONAL,
+    occurs_with={"gear": Occurrence.COMMON},
 )
 
 lugre_friction = Effect(
@@ -165,6 +172,9 @@ lugre_friction = Effect(
     # Bristles damped beyond ``s1`` stick to the body within a third of a sampling period, which no record shows.
     limits=lambda s: {**_fall_within_record(s), "s1": (0.0, 3 * s.storage / s.period)},
     from_parent=_lugre_from_parent,
+    needs=("contact",),
+    occurs=Occurrence.RARE,
+    occurs_with={"seal": Occurrence.COMMON},
 )
 
 quadratic_damping = Effect(
@@ -181,6 +191,9 @@ quadratic_damping = Effect(
     source="turbulent drag, force over the square of speed (Newton)",
     amplitudes=("B2",),
     probe=lambda s: {"B2": s.visible_force / s.velocity**2},
+    needs=("fluid",),
+    occurs=Occurrence.RARE,
+    occurs_with={"fluid": Occurrence.USUAL, "motor": Occurrence.EXOTIC, "free": Occurrence.COMMON},
 )
 
 load_dependent_friction = Effect(
@@ -204,6 +217,9 @@ load_dependent_friction = Effect(
     amplitudes=("Fc", "mu"),
     probe=lambda s: {"Fc": 0.5 * s.visible_force, "mu": VISIBLE_SHARE},
     from_parent=_loaded_from_coulomb,
+    needs=("gear",),
+    occurs=Occurrence.OCCASIONAL,
+    occurs_with={"weight": Occurrence.COMMON},
 )
 
 asymmetric_friction = Effect(
@@ -232,6 +248,9 @@ asymmetric_friction = Effect(
     from_parent=lambda values, s: [
         {"Fp": share * values["Fc"], "Fm": (2 - share) * values["Fc"]} for share in (1.0, 1.5, 0.5)
     ],
+    needs=("contact",),
+    occurs=Occurrence.RARE,
+    occurs_with={"weight": Occurrence.OCCASIONAL},
 )
 
 FRICTION: tuple[Effect, ...] = (
@@ -269,6 +288,8 @@ displacement_damping = Effect(
     source="B. van der Pol 1926, On relaxation-oscillations: the damping term of second order in the displacement",
     amplitudes=("D2",),
     probe=lambda s: {"D2": s.visible_force / (s.displacement**2 * s.velocity)},
+    needs=("spring", "rubber", "hysteretic"),
+    occurs=Occurrence.EXOTIC,
 )
 
 cubic_damping = Effect(
@@ -282,6 +303,9 @@ cubic_damping = Effect(
     source="first odd term of the series of a symmetric damper (Rayleigh, The Theory of Sound)",
     amplitudes=("B3",),
     probe=lambda s: {"B3": s.visible_force / s.velocity**3},
+    needs=("fluid",),
+    occurs=Occurrence.RARE,
+    occurs_with={"hull": Occurrence.COMMON, "free": Occurrence.EXOTIC},
 )
 
 directional_damping = Effect(
@@ -305,6 +329,8 @@ directional_damping = Effect(
     ),
     amplitudes=("Ba",),
     probe=lambda s: {"Ba": s.visible_force / s.velocity},
+    needs=("gear", "valve"),
+    occurs=Occurrence.RARE,
 )
 
 DAMPING: tuple[Effect, ...] = (displacement_damping, cubic_damping, directional_damping)

@@ -9,6 +9,7 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect, amplitude_parameter, shape_parameter
 from greybox.model.effects.scales import Scales
+from greybox.model.parts import Occurrence
 from greybox.model.signals import State
 
 
@@ -40,6 +41,8 @@ gravity_torque = Effect(
     source="pendulum, or unbalance of a rotor with a horizontal axis: K. Ogata, System Dynamics",
     amplitudes=("Gs", "Gc"),
     probe=_both_amplitudes("Gs", "Gc"),
+    needs=("weight",),
+    occurs=Occurrence.COMMON,
 )
 
 # Periods of a torque a revolution that a search starts from: an unbalance, pairs of poles, slots.
@@ -71,6 +74,8 @@ torque_ripple = Effect(
     amplitudes=("Fs", "Fc"),
     probe=_both_amplitudes("Fs", "Fc"),
     grid=lambda s: {"n": list(STARTING_RIPPLES)},
+    needs=("motor", "gear"),
+    occurs=Occurrence.EXOTIC,
 )
 
 ROTATION: tuple[Effect, ...] = (gravity_torque, torque_ripple)
@@ -93,6 +98,8 @@ constant_load = Effect(
     source="Linear ARX modelling of pneumatic actuator system (chapter 10), section 10.2.3: F_External of eq. 10.6",
     amplitudes=("F0",),
     probe=lambda s: {"F0": s.visible_force},
+    occurs=Occurrence.COMMON,
+    occurs_with={"weight": Occurrence.USUAL},
 )
 
 LOAD: tuple[Effect, ...] = (constant_load,)

@@ -11,6 +11,7 @@ from greybox.model.balance import Balance
 from greybox.model.effect import EVERY_BALANCE, Effect, amplitude_parameter, shape_parameter
 from greybox.model.effects.flow import OUT_OF_REACH
 from greybox.model.effects.scales import LONGEST_DELAY, UNTAILORED_DELAY, Scales
+from greybox.model.parts import Occurrence
 from greybox.model.signals import State
 
 # Difference of the gain by sign that a search starts from beside a constant load, as a share.
@@ -47,6 +48,8 @@ input_saturation = Effect(
     amplitudes=("u_max",),
     neutral={"u_max": OUT_OF_REACH},
     grid=lambda s: {"u_max": [share * s.input for share in (0.97, 0.85, 0.7, 0.5)]},
+    occurs=Occurrence.OCCASIONAL,
+    occurs_with={"hull": Occurrence.COMMON, "actuator": Occurrence.COMMON},
 )
 
 soft_saturation = Effect(
@@ -67,6 +70,7 @@ soft_saturation = Effect(
     grid=lambda s: {"u_max": [share * s.input for share in (3.0, 1.5, 0.7)]},
     # tanh leaves off long before its limit: the same loss at the peak takes a limit that is higher.
     from_parent=lambda values, s: [{"u_max": factor * min(values["u_max"], s.input)} for factor in (1.0, 1.5, 3.0)],
+    occurs=Occurrence.EXOTIC,
 )
 
 input_dead_zone = Effect(
@@ -83,6 +87,8 @@ input_dead_zone = Effect(
     source="crossover distortion of an amplifier",
     amplitudes=("d",),
     probe=lambda s: {"d": 0.01 * s.input},
+    occurs=Occurrence.OCCASIONAL,
+    occurs_with={"motor": Occurrence.COMMON},
 )
 
 valve_dead_zone = replace(
@@ -95,6 +101,9 @@ valve_dead_zone = replace(
         " piston moves."
     ),
     source="overlap of a spool and its ports; Linear ARX modelling of pneumatic actuator system (chapter 10)",
+    needs=("valve",),
+    occurs=Occurrence.COMMON,
+    occurs_with={},
 )
 
 input_hysteresis = Effect(
@@ -115,6 +124,8 @@ input_hysteresis = Effect(
     amplitudes=("h",),
     probe=lambda s: {"h": 0.01 * s.input},
     limits=lambda s: {"h": (0.0, s.input)},
+    occurs=Occurrence.RARE,
+    occurs_with={"valve": Occurrence.COMMON},
 )
 
 valve_hysteresis = replace(
@@ -124,6 +135,9 @@ valve_hysteresis = replace(
     parameters=(amplitude_parameter("h", "{valve}", "half of the width of the loop", low=0.0),),
     states=(State("w", "{valve}", description="position of the spool, as the voltage that would hold it"),),
     source="friction of the spool and remanence of its solenoid, in data sheets of proportional valves: hysteresis 2 h over the range",
+    needs=("valve",),
+    occurs=Occurrence.RARE,
+    occurs_with={},
 )
 
 rectified_reading = Effect(
@@ -141,6 +155,7 @@ rectified_reading = Effect(
     source="tacho with a rectifier, flow meter without direction, converter of one sign",
     amplitudes=("r",),
     probe=lambda s: {"r": 0.05},
+    occurs=Occurrence.EXOTIC,
 )
 
 # Time constant (s) of a lag that no record shows.
@@ -169,6 +184,8 @@ valve_lag = Effect(
     neutral={"tau_v": NEUTRAL_LAG},
     grid=lambda s: {"tau_v": [0.5 * s.period, 3 * s.period, 15 * s.period]},
     limits=lambda s: {"tau_v": (min(NEUTRAL_LAG, 1e-4 * s.period), s.duration)},
+    needs=("valve",),
+    occurs=Occurrence.COMMON,
 )
 
 drive_lag = replace(
@@ -193,6 +210,9 @@ drive_lag = replace(
     neutral={"tau_u": NEUTRAL_LAG},
     grid=lambda s: {"tau_u": [0.5 * s.period, 3 * s.period, 15 * s.period]},
     limits=lambda s: {"tau_u": (min(NEUTRAL_LAG, 1e-4 * s.period), s.duration)},
+    needs=(),
+    occurs=Occurrence.COMMON,
+    occurs_with={"actuator": Occurrence.USUAL, "motor": Occurrence.RARE},
 )
 
 transport_delay = Effect(
@@ -210,6 +230,9 @@ transport_delay = Effect(
     amplitudes=("delay",),
     probe=lambda s: {"delay": 0.4 * s.period},
     limits=lambda s: {"delay": (0.0, LONGEST_DELAY * s.period)},
+    needs=("link",),
+    occurs=Occurrence.COMMON,
+    occurs_with={"link": Occurrence.USUAL},
 )
 
 input_offset = Effect(
@@ -226,6 +249,7 @@ input_offset = Effect(
     source="amplifier and converter offset",
     amplitudes=("u0",),
     probe=lambda s: {"u0": 0.01 * s.input},
+    occurs=Occurrence.COMMON,
 )
 
 input_gain = Effect(
@@ -244,6 +268,8 @@ input_gain = Effect(
     source="torque constant of a drive, gain of an amplifier, calibration of a force sensor",
     amplitudes=("g",),
     probe=lambda s: {"g": 0.03},
+    occurs=Occurrence.OCCASIONAL,
+    occurs_with={"video": Occurrence.COMMON},
 )
 
 sensor_gain = replace(
@@ -258,6 +284,9 @@ sensor_gain = replace(
         "Read two known values at standstill: their difference shows the gain, and a third one whether the reading bends."
     ),
     source="calibration of a sensor, scale of a video",
+    needs=(),
+    occurs=Occurrence.OCCASIONAL,
+    occurs_with={"video": Occurrence.COMMON},
 )
 
 TELLS_SIGN = (
@@ -274,6 +303,7 @@ reversed_input = Effect(
     parity="linear",
     tells_apart=TELLS_SIGN,
     source="polarity of a motor, of a valve or of the wires of an amplifier",
+    occurs=Occurrence.OCCASIONAL,
 )
 
 reversed_reading = replace(
@@ -284,6 +314,9 @@ reversed_reading = replace(
     on_output=lambda value, x, u, p: -value,
     equation="-y in the place of y",
     source="direction in which an encoder counts, side from which a sensor looks",
+    needs=(),
+    occurs=Occurrence.OCCASIONAL,
+    occurs_with={},
 )
 
 late_row = Effect(
@@ -298,6 +331,7 @@ late_row = Effect(
         " one row too early."
     ),
     source="logger that reads the command before the controller has written it",
+    occurs=Occurrence.OCCASIONAL,
 )
 
 early_row = replace(
@@ -309,6 +343,9 @@ early_row = replace(
         "Sample twice as fast: a row that is written early is early by half the time then, a delay of the plant or its drive stays."
     ),
     source="controller whose output acts from its next scan on, computing time of a controller",
+    needs=(),
+    occurs=Occurrence.OCCASIONAL,
+    occurs_with={},
 )
 
 gain_by_sign = Effect(
@@ -332,6 +369,9 @@ gain_by_sign = Effect(
     probe=lambda s: {"g": 0.03},
     from_parent=_gain_from_offset,
     limits=lambda s: {"g": (-9.0, 1.0)},
+    needs=("single_rod", "valve"),
+    occurs=Occurrence.EXOTIC,
+    occurs_with={"single_rod": Occurrence.USUAL},
 )
 
 sensor_drift = Effect(
@@ -350,6 +390,9 @@ sensor_drift = Effect(
     source="thermal drift of a displacement sensor",
     amplitudes=("rate",),
     probe=lambda s: {"rate": 0.02 * s.sensor / s.duration},
+    needs=("analogue", "slow_sensor"),
+    occurs=Occurrence.RARE,
+    occurs_with={"analogue": Occurrence.RARE, "encoder": Occurrence.EXOTIC, "video": Occurrence.EXOTIC},
 )
 
 clock_skew = Effect(
@@ -369,6 +412,8 @@ clock_skew = Effect(
     source="frame rate of a video, or sampling rate of a recorder, that is not the nominal one",
     amplitudes=("e",),
     probe=lambda s: {"e": 0.01},
+    needs=("video",),
+    occurs=Occurrence.EXOTIC,
 )
 
 sensor_lag = Effect(
@@ -393,6 +438,9 @@ sensor_lag = Effect(
     neutral={"tau_s": NEUTRAL_LAG},
     grid=lambda s: {"tau_s": [0.5 * s.period, 3 * s.period, 15 * s.period]},
     limits=lambda s: {"tau_s": (min(NEUTRAL_LAG, 1e-4 * s.period), s.duration)},
+    needs=("slow_sensor",),
+    occurs=Occurrence.RARE,
+    occurs_with={"slow_sensor": Occurrence.USUAL, "encoder": Occurrence.EXOTIC},
 )
 
 backlash = Effect(
@@ -411,6 +459,8 @@ backlash = Effect(
     source="play in the coupling of a sensor",
     amplitudes=("gap",),
     probe=lambda s: {"gap": 0.01 * s.sensor},
+    needs=("gear",),
+    occurs=Occurrence.OCCASIONAL,
 )
 
 # What a record may get wrong of any plant.
@@ -462,6 +512,7 @@ linear_input = Effect(
     parity="linear",
     tells_apart=TELLS_APART,
     source="first-order hold: Astrom, Wittenmark, Computer-Controlled Systems",
+    occurs=Occurrence.OCCASIONAL,
 )
 
 band_limited_input = Effect(
@@ -473,6 +524,7 @@ band_limited_input = Effect(
     parity="linear",
     tells_apart=TELLS_APART,
     source="Pintelon, Schoukens, System Identification: A Frequency Domain Approach: the band-limited measurement setup",
+    occurs=Occurrence.OCCASIONAL,
 )
 
 BETWEEN_SAMPLES: tuple[Effect, ...] = (linear_input, band_limited_input)

@@ -71,6 +71,7 @@ def _brief(d: Discovery) -> Iterator[doc.Block]:
         [
             *(f"next: {step}" for step in d.next_steps),
             *(f"note: {name} is out: {finding}" for name, finding in failed.items()),
+            *(f"note: {text}" for text in [words.impossible_text(d.not_tried)] if text),
             *(f"note: {finding}" for finding in (*d.findings, *d.instruments)),
         ]
     )

@@ -15,6 +15,7 @@ from greybox.discovery.decision import Grade
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
+from greybox.model.parts import TOLD
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders, sentence
 from greybox.show.sentences.wording import (
@@ -251,6 +252,30 @@ EFFECT_TITLES = {
 def effect_title(name: str) -> str:
     """The name of an effect as words: ``cubic stiffness``."""
     return EFFECT_TITLES.get(name, name.replace("_", " "))
+
+
+def part_text(name: str) -> str:
+    """The name of a part as words: ``voice coil``."""
+    return name.replace("_", " ")
+
+
+def _how_known(reason: str) -> str:
+    return "" if reason == TOLD else f" ({reason})"
+
+
+def impossible_text(not_tried: Mapping[str, Finding]) -> str:
+    """Which effects were not tried because the rig has no part that they need, and how that is known; "" where there are none."""
+    lacking = [f for f in not_tried.values() if f.code is DiscoveryCode.PART_MISSING]
+    reasons: dict[str, list[Finding]] = {}
+    for f in lacking:
+        reasons.setdefault(f.values["reason"], []).append(f)
+    groups = [
+        f"{join_names([effect_title(f.subject) for f in group])} for lack of"
+        f" {join_names(list(dict.fromkeys(part_text(f.values['part']) for f in group)))}{_how_known(reason)}"
+        for reason, group in reasons.items()
+    ]
+    is_guessed = any(reason != TOLD for reason in reasons)
+    return f"not tried: {'; '.join(groups)}{': --has PART tries them' if is_guessed else ''}" if groups else ""
 
 
 GRADES = {Grade.ESTABLISHED: "established", Grade.PROBABLE: "probable", Grade.STAND_IN: "a stand-in"}
@@ -621,6 +646,9 @@ register(
             f"no record tells it from other values of {join_names(f.values['constants'])}: fix or weigh one of them"
         ),
         DiscoveryCode.EFFECT_LEFT_OUT: "left out as asked",
+        DiscoveryCode.PART_MISSING: lambda f: (
+            f"it needs {part_text(f.values['part'])}, which the rig lacks{_how_known(f.values['reason'])}"
+        ),
         DiscoveryCode.NOT_REACHED: "the time was over before it was tried",
         DiscoveryCode.CANDIDATE_FAILED: "it could not be fitted: {reason}",
         DiscoveryCode.CANDIDATE_NOT_SIMULATED: "the model with it cannot be simulated from any starting point",

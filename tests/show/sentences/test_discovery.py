@@ -518,6 +518,16 @@ FINDINGS = [
     ),
     (Code.EFFECT_LEFT_OUT, *("backlash", {}), "left out as asked"),
     (
+        Code.PART_MISSING,
+        *("cogging", {"part": "voice_coil", "reason": "it has no input"}),
+        "it needs voice coil, which the rig lacks (it has no input)",
+    ),
+    (
+        Code.PART_MISSING,
+        *("cogging", {"part": "magnets", "reason": "told"}),
+        "it needs magnets, which the rig lacks",
+    ),
+    (
         Code.CANDIDATE_FAILED,
         *("transport_delay", {"reason": "unequal intervals"}),
         "it could not be fitted: unequal intervals",
