@@ -17,6 +17,7 @@ import stat
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -36,6 +37,21 @@ LEFTOVER_SECONDS = 3600.0
 
 # Permissions of a file for one user.
 PRIVATE = stat.S_IRUSR | stat.S_IWUSR
+
+
+# Files written since `watch_replaced` began, and whether each held something else before.
+_watched: ContextVar[dict[Path, bool] | None] = ContextVar("watched", default=None)
+
+
+@contextlib.contextmanager
+def watch_replaced() -> Iterator[Callable[[], list[Path]]]:
+    """The block whose files are watched; what is yielded lists those that stood there before it with another content."""
+    watched: dict[Path, bool] = {}
+    token = _watched.set(watched)
+    try:
+        yield lambda: [path for path, other in watched.items() if other]
+    finally:
+        _watched.reset(token)
 
 
 def write_file(
@@ -93,6 +109,9 @@ def write_file(
             _fill(file, content)
             file.flush()
             os.fsync(file.fileno())
+        # Of a file that is written twice in the block the first content counts: the second is no older one.
+        if (watched := _watched.get()) is not None and target not in watched:
+            watched[target] = mode is not None and not filecmp.cmp(part, final, shallow=False)
         # On Windows another program may hold the old file for a moment.
         for pause in (0.05, 0.2, 1.0, 0.0) if sys.platform == "win32" else (0.0,):
             try:

@@ -11,6 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from greybox.base import ExitCode, Finding, GreyboxError
+from greybox.base.files import watch_replaced
 from greybox.base.texts import to_word
 from greybox.shell.study import Answer, Command, Option, Study
 from greybox.shell.study_file import is_study_file, read_study, with_overrides, write_study
@@ -61,9 +62,14 @@ def make_command(name: str, command: Command, commands: Mapping[str, Command]) -
         if target is not None:
             _write_study(ctx, study, target, command.like or name, commands)
             return
-        answer = command.run(study)
-        if answer is not None:
-            _show(answer, study)
+        with watch_replaced() as replaced:
+            try:
+                answer = command.run(study)
+                if answer is not None:
+                    _show(answer, study)
+            finally:
+                if (files := replaced()) and not study.silent:
+                    print_findings([Finding(CommandCode.FILES_REPLACED, values={"files": files})])
 
     lines = "\n".join(f"  {line}" for line in command.examples)
     return PlainCommand(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greybox.base import ExitCode, Finding, GreyboxError
+from greybox.base import ExitCode, GreyboxError
 from greybox.shell.inputs import (
     add_effects,
     check_substeps,
@@ -18,7 +18,7 @@ from greybox.shell.inputs import (
     set_parameters,
 )
 from greybox.shell.study import LAYOUT, SHOWING, SUBSTEPS, Answer, Command, Idle, Needs, Study
-from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note, write_report
+from greybox.shell.terminal import exit_with_error, print_note, write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
@@ -63,10 +63,7 @@ def simulate(study: Study) -> Answer:
             ExitCode.UNSUCCESSFUL,
         )
     refuse_broken_limits(run, limits_of(study))
-    replaced = target.exists()
     write_csv(run.record(noise_std, generator), plant, target)
-    if replaced:
-        print_findings([Finding(CommandCode.FILE_OVERWRITTEN, subject=str(target))])
     from greybox.shell.answers import SimulationAnswer
 
     units = {q.name: format_unit(q.unit) for q in plant.outputs}

@@ -38,7 +38,7 @@ class CommandCode(StrEnum):
     RECORD_SPLIT = "record_split"
     PIECES_AT_REST = "pieces_at_rest"
     SUBSTEPS_WITHOUT_EFFECT = "substeps_without_effect"
-    FILE_OVERWRITTEN = "file_overwritten"
+    FILES_REPLACED = "files_replaced"
     STUDY_FIELDS_UNUSED = "study_fields_unused"
     UNUSED_PARAMETER = "unused_parameter"
 

@@ -18,7 +18,7 @@ import pytest
 
 from greybox.base import files
 from greybox.base.errors import GreyboxError, OutputError
-from greybox.base.files import append_line, write_file
+from greybox.base.files import append_line, watch_replaced, write_file
 
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="limits and signals of POSIX")
 
@@ -183,3 +183,16 @@ def test_a_line_after_one_that_was_cut_short_stands_alone(tmp_path):
     journal.write_bytes(b'{"key": 1}\n{"key": "cut sho')
     append_line(journal, '{"key": 2}')
     assert journal.read_text().splitlines() == ['{"key": 1}', '{"key": "cut sho', '{"key": 2}']
+
+
+def test_what_held_something_else_before_is_known(tmp_path: Path) -> None:
+    for name, text in {"same": "1", "other": "1", "longer": "1"}.items():
+        (tmp_path / name).write_text(text)
+    with watch_replaced() as replaced:
+        for name, text in {"same": "1", "other": "2", "longer": "11", "new": "1"}.items():
+            write_file(tmp_path / name, text)
+        # A result that is completed replaces no older one.
+        write_file(tmp_path / "new", "2")
+        assert replaced() == [tmp_path / "other", tmp_path / "longer"]
+    write_file(tmp_path / "same", "2")
+    assert replaced() == [tmp_path / "other", tmp_path / "longer"]

@@ -431,10 +431,13 @@ def test_simulate_never_overwrites_its_own_input(run: Run, tmp_path: Path) -> No
     assert refused.exit_code == 2
     assert "it is the input file, which would be overwritten; give another file" in refused.stderr
     assert (tmp_path / "u.csv").read_text() == text
-    assert run("simulate", "micro_actuator", "u.csv", "--output", "y.csv").stderr == ""
-    again = run("simulate", "micro_actuator", "u.csv", "--output", "y.csv")
-    assert again.exit_code == 0
-    assert again.stderr == "note: y.csv existed and was overwritten\n"
+
+
+def test_a_file_with_other_content_is_not_replaced_without_a_word(run: Run, tmp_path: Path) -> None:
+    drive = ("simulate", "micro_actuator", "--duration", 0.1, "--sampling-time", 1e-3, "--output", "y.csv", "--no-report")
+    assert run(*drive, "--step", 1).stderr == ""
+    assert run(*drive, "--step", 1).stderr == ""  # the same once more
+    assert run(*drive, "--step", 2).stderr == "note: y.csv held something else and was overwritten\n"
 
 
 def test_a_constant_in_no_equation_is_noted(run: Run, tmp_path: Path) -> None:

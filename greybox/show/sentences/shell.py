@@ -22,6 +22,11 @@ def _record_split(finding: Finding) -> str:
     return f"{finding.subject} is split into {pieces} record{'s' * (pieces != 1)} at the gaps in time"
 
 
+def _files_replaced(finding: Finding) -> str:
+    files = finding.values["files"]
+    return f"{', '.join(map(str, files))} held something else and {'was' if len(files) == 1 else 'were'} overwritten"
+
+
 # The codes are those of greybox.shell.terminal, a later package.
 register(
     {
@@ -31,7 +36,7 @@ register(
         "substeps_without_effect": (
             "--substeps {substeps} has no effect on a linear model, which is integrated exactly; use --method rk4 for substeps"
         ),
-        "file_overwritten": "{subject} existed and was overwritten",
+        "files_replaced": _files_replaced,
         "study_fields_unused": lambda f: f"{f.subject}: a check does not use {', '.join(f.values['places'])}",
         "unused_parameter": "parameter {subject!r} is in no equation: a term is missing, or the parameter is not needed",
     }

@@ -32,9 +32,9 @@ SENTENCES = {
         Finding(Code.SUBSTEPS_WITHOUT_EFFECT, values={"substeps": 4}),
         "--substeps 4 has no effect on a linear model, which is integrated exactly; use --method rk4 for substeps",
     ),
-    Code.FILE_OVERWRITTEN: (
-        Finding(Code.FILE_OVERWRITTEN, subject="y.csv"),
-        "y.csv existed and was overwritten",
+    Code.FILES_REPLACED: (
+        Finding(Code.FILES_REPLACED, values={"files": [Path("a/fit.json"), Path("a/report.html")]}),
+        "a/fit.json, a/report.html held something else and were overwritten",
     ),
     Code.STUDY_FIELDS_UNUSED: (
         Finding(Code.STUDY_FIELDS_UNUSED, subject="study.toml", values={"places": ["[priors]", "[records] skip"]}),
