@@ -203,7 +203,7 @@ class Experiment(Printable):
         raise_problems(f"experiment {name!r}", problems)
         seen = inspect_signals(bare.time, bare.inputs, bare.outputs)
         loops = find_loops(bare.inputs, bare.outputs)
-        timing = sampling.inspect_timing(bare.time, bare.sampling_time, bare.outputs)
+        timing = sampling.inspect_timing(bare.time, bare.sampling_time, bare.inputs, bare.outputs)
         asked = hold if isinstance(hold, Mapping) else dict.fromkeys(bare.inputs, hold)
         straight = (n for n, course in bare.courses.items() if course != "zero" and asked.get(n, "auto") == "auto")
         courses = (Finding(RecordCode.INPUT_TAKEN_STRAIGHT, subject=n) for n in straight)

@@ -22,6 +22,7 @@ class RecordCode(StrEnum):
     SENSOR_SPIKES = "sensor_spikes"
     SENSOR_SATURATED = "sensor_saturated"
     READING_COARSE = "reading_coarse"
+    SENT_ON_CHANGE = "sent_on_change"
     INPUT_TAKEN_STRAIGHT = "input_taken_straight"
     TIME_ROUNDED = "time_rounded"
     TIME_GAP = "time_gap"

@@ -26,6 +26,7 @@ import numpy as np
 
 from greybox.base import ROWS_AT_A_TIME, Finding, Severity
 from greybox.data.findings import RecordCode
+from greybox.data.problems import FEW_ROWS, is_constant
 
 # A step may differ from the mean step by this share of it; clocks of loggers stay within.
 STEP_TOLERANCE = 0.001
@@ -83,11 +84,15 @@ def _find_coarsely_printed_step(time: np.ndarray, step: float, unit: float) -> f
 
 
 def inspect_timing(
-    time: np.ndarray, sampling_time: float | None, outputs: Mapping[str, np.ndarray] = MappingProxyType({})
+    time: np.ndarray,
+    sampling_time: float | None,
+    inputs: Mapping[str, np.ndarray],
+    outputs: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> tuple[Finding, ...]:
     """What there is to know about the stamps ``time`` (N,): coarse printing, gaps, missing rows, irregular steps, jitter.
 
-    Of irregular steps the ``outputs`` may show that only the stamps are so, and the readings were taken regularly.
+    A gap and missing rows matter where ``inputs`` move, which nobody saw meanwhile. Of irregular steps the ``outputs`` may show that only
+    the stamps are so, and the readings were taken regularly.
     """
     step = np.diff(time)
     spread = {"shortest": float(step.min()), "longest": float(step.max())}
@@ -95,13 +100,17 @@ def inspect_timing(
         if np.abs(step - sampling_time).max() <= STEP_TOLERANCE * sampling_time:
             return ()
         return (Finding(RecordCode.TIME_ROUNDED, values={**spread, "sampling_time": sampling_time}),)
-    gap = find_longest_time_gap(time)
-    if gap is not None:
+    is_driven = not all(map(is_constant, inputs.values()))
+    # The pieces of a short table would hold nothing: nobody is told to split it.
+    gap = find_longest_time_gap(
+        time, RecordCode.TIME_GAP if len(time) >= FEW_ROWS else RecordCode.INPUT_HELD_THROUGH_GAP
+    )
+    if is_driven and gap is not None:
         return (gap,)
     usual = float(np.median(step))
     # A step as long as n usual ones lacks n - 1 rows.
     missing = np.round(step / usual) - 1
-    if np.all(np.abs(step / usual - 1 - missing) <= GRID_TOLERANCE) and missing.any():
+    if is_driven and np.all(np.abs(step / usual - 1 - missing) <= GRID_TOLERANCE) and missing.any():
         values = {"rows": int(missing.sum()), "places": int(np.count_nonzero(missing)), "usual_step": usual}
         return (Finding(RecordCode.TIME_ROWS_MISSING, Severity.WARNING, values=values),)
     jitter = estimate_stamp_jitter(time, outputs.values())

@@ -7,6 +7,7 @@ the constants above each function.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,9 @@ def inspect_signals(
             moves = np.abs(np.diff(values))
             moves = moves[np.isfinite(moves)]
             step = find_reading_step(values) if _repeats_often(moves) else None
-            if step is not None and np.median(moves[moves > 0]) <= COARSE_MOVE * step:
+            if (sent := find_change_band(time, values)) is not None:
+                yield Finding(RecordCode.SENT_ON_CHANGE, subject=name, values={"band": sent.band, "held": sent.is_held})
+            elif step is not None and np.median(moves[moves > 0]) <= COARSE_MOVE * step:
                 yield Finding(RecordCode.READING_COARSE, subject=name, values={"step": step})
         gaps = int(np.isnan(values).sum())
         if gaps:
@@ -85,6 +88,58 @@ def find_reading_step(values: np.ndarray) -> float | None:
     counts = np.round(distances / distances.min())
     step = float(distances.sum() / counts.sum())
     return step if np.abs(distances / step - counts).max() <= STEP_ROUNDING else None
+
+
+@dataclass(frozen=True)
+class ChangeBand:
+    """Readings of a sensor that sends only what has changed by ``band``.
+
+    ``is_held``: between two of them the record repeats the last one; else it has a row for each alone.
+    """
+
+    band: float
+    is_held: bool
+
+    @property
+    def std(self) -> float:
+        """How far a reading is off: it is sent half a step from its value; while it is held the sensor is anywhere within the band."""
+        return self.band / np.sqrt(3) if self.is_held else self.band / 2
+
+
+# Changes from which a band shows.
+LEAST_CHANGES = 20
+# Share of the changes that may be smaller than the band: the first one, or a message that was lost.
+SMALLER_CHANGES = 0.02
+# The band over the usual change and over the step of the readings, from which it is a band: other motion has small changes too.
+BAND_OF_CHANGE, BAND_OF_STEP = 0.5, 2.5
+# Share of the rows that repeat the one before, from which a sensor is held between changes.
+HELD_SHARE = 0.5
+
+
+def find_change_band(time: np.ndarray, values: np.ndarray) -> ChangeBand | None:
+    """The band of a sensor that sends its reading when it has changed by so much; None where nothing shows it."""
+    rows = np.flatnonzero(np.isfinite(values))
+    steps, moves = np.diff(time[rows]), np.abs(np.diff(values[rows]))
+    changes = moves[moves > 0]
+    if len(changes) < LEAST_CHANGES:
+        return None
+    levels = np.unique(values[rows])
+    if len(levels) < LEAST_LEVELS:  # of a switch every change is alike
+        return None
+    band = float(np.quantile(changes, SMALLER_CHANGES))
+    if band < BAND_OF_CHANGE * np.median(changes):
+        return None
+    if np.mean(moves == 0) > HELD_SHARE:
+        # A coarse sensor is held as well: there the band is one step of it.
+        grid = float(np.quantile(np.diff(levels), SMALLER_CHANGES))
+        return ChangeBand(band, True) if band >= BAND_OF_STEP * grid else None
+    step = find_reading_step(values[rows])
+    usual = float(np.median(steps))
+    # Its rows come when they must. A reading that is repeated so that somebody sees that the sensor lives comes late.
+    if step is None or np.median(changes) > COARSE_MOVE * step or np.ptp(steps) <= usual:
+        return None
+    repeats_soon = np.mean(moves[steps < usual] == 0) > REPEAT_SHARE
+    return None if repeats_soon else ChangeBand(step, False)
 
 
 # Rows with one value from which a sensor counts as frozen.
@@ -168,8 +223,14 @@ def _find_saturation(values: np.ndarray) -> Iterator[tuple[str, np.ndarray, int]
 SPIKE_RATIO = 5.0
 # Share of an input's range; an input that leaves so far for one row may have caused the spike.
 PULSE_SHARE = 0.25
-# Largest share of the rows that can be spikes; more of them are a kind of noise.
-MAX_SPIKE_SHARE = 0.02
+# Share of the rows up to which spikes are found by that distance: each puts three rows aside, and with more of them it is their own.
+MAX_SPIKE_SHARE = REPEAT_SHARE / 3
+# Largest share of the rows that can be spikes, where they come all over the record; more of them are a kind of noise.
+MAX_STRAY_SHARE = 0.08
+# Share of the rows that so many spikes leave where they are, and how far 95 % of normal noise reach over that share of it.
+UNTOUCHED_SHARE, NORMAL_REACH = 0.7, 1.89
+# The median distance of strays over their mean distance: 0.69 where they come at any time, far less of motion, which comes in stretches.
+EVEN_SPREAD = 0.4
 
 
 def _find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray]) -> np.ndarray:
@@ -181,18 +242,22 @@ def _find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray]) -> np.ndarray
     usual = beside[beside > 0]  # neither rest nor gaps
     if not len(usual):
         return np.zeros(0, int)
-    limit = SPIKE_RATIO * np.quantile(usual, 1 - REPEAT_SHARE, overwrite_input=True)
+    few, many = np.quantile(usual, (1 - REPEAT_SHARE, UNTOUCHED_SHARE), overwrite_input=True)
     del usual  # a long record is in memory a few times only
     driven = np.zeros(len(values), bool)
     for u in inputs:
         pulse = _measure_offset(u)[1] > PULSE_SHARE * np.ptp(u)
         driven |= pulse | np.concatenate(([False], pulse[:-1]))
     # A spike puts its neighbours aside too, by half as much.
-    highest = beside >= 0
+    highest = (beside >= 0) & ~driven
     highest[:-1] &= beside[:-1] >= beside[1:]
     highest[1:] &= beside[1:] >= beside[:-1]
-    spikes = np.flatnonzero(highest & (beyond > limit) & ~driven)
-    return spikes if len(spikes) <= max(1, MAX_SPIKE_SHARE * len(values)) else spikes[:0]
+    strays = np.flatnonzero(highest & (beyond > SPIKE_RATIO * NORMAL_REACH * many))
+    if not MAX_SPIKE_SHARE * len(values) < len(strays) <= MAX_STRAY_SHARE * len(values):
+        spikes = np.flatnonzero(highest & (beyond > SPIKE_RATIO * few))
+        return spikes if len(spikes) <= max(1, MAX_SPIKE_SHARE * len(values)) else spikes[:0]
+    spread = float(np.median(np.diff(strays))) * len(strays) / len(values) if len(strays) > 1 else 0.0
+    return strays if spread >= EVEN_SPREAD else strays[:0]
 
 
 def _measure_offset(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

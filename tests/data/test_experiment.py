@@ -14,6 +14,7 @@ from greybox.base.errors import DataError
 from greybox.data.experiment import Experiment, collect_record_findings, number_unnamed_records
 from greybox.data.findings import RecordCode, is_sensor_fault
 from greybox.data.sampling import estimate_time_resolution, find_sampling_time
+from greybox.data.sensor_faults import find_change_band
 
 N = 40
 TIME = 0.5 * np.arange(N)
@@ -214,8 +215,25 @@ def test_what_the_plant_does_itself_is_no_spike():
     assert not findings_of(time, hammer, followed)
     assert not findings_of(time, np.where(time < 2, 1.0, -1.0), np.random.default_rng(1).normal(size=len(time)))
     often = answer.copy()
-    often[::20] += 0.3  # one row in twenty: the noise is such
+    often[::10] += 0.3  # one row in ten: the noise is such
     assert not findings_of(time, drive, often)
+    rings = answer + 0.3 * np.sin(2.6 * np.arange(400)) * (
+        np.arange(400) % 200 < 20
+    )  # in stretches, by three samples a period
+    assert not findings_of(time, drive, rings)
+
+
+@pytest.mark.parametrize("share", [0.002, 0.01, 0.02, 0.03, 0.05, 0.07])
+@pytest.mark.parametrize("steps", [0.0, 2e-3])
+def test_wild_readings_are_noticed_up_to_one_in_fifteen(share, steps):
+    time, drive, answer = shaken(rows=2000)
+    rng = np.random.default_rng(round(1e3 * share))
+    wild = rng.choice(2000, round(2000 * share), replace=False)
+    answer[wild] += rng.uniform(0.2, 3.0, len(wild)) * rng.choice([-1, 1], len(wild))
+    answer = np.round(answer / steps) * steps if steps else answer
+    spikes = [f for f in findings_of(time, drive, answer) if f.code == RecordCode.SENSOR_SPIKES]
+    assert [f.code for f in spikes] == [RecordCode.SENSOR_SPIKES]
+    assert spikes[0].values["count"] == pytest.approx(len(wild), rel=0.35, abs=1)
 
 
 def test_a_sensor_that_ends_before_the_motion_does_is_named_at_either_end():
@@ -383,6 +401,68 @@ def test_a_gap_in_time_is_found_with_its_place():
     late = 0.5 * np.arange(100) + 30 * (np.arange(100) > 20) + 5 * (np.arange(100) > 60)
     (finding,) = make(time=late, inputs={"u": np.sin(late)}, outputs={"y": np.cos(late)}).findings
     assert finding.values == {"gaps": 2, "start": 10.0, "stop": 40.5, "usual_step": 0.5}
+
+
+def room(seed=0):
+    """Seconds of a day, and a temperature that is felt with little noise."""
+    time = np.arange(0.0, 86400.0, 20.0)
+    swing = 4 * np.sin(2 * np.pi * time / 86400) + 1.5 * np.sin(2 * np.pi * time / 20000)
+    return time, 20 + swing + 0.02 * np.random.default_rng(seed).normal(size=len(time))
+
+
+def send(felt, step, band):
+    """Rows at which a reading in steps is sent because it has changed by ``band``, and these readings."""
+    rows, read = [0], [np.round(felt[0] / step) * step]
+    for k, value in enumerate(np.round(felt / step) * step):
+        if abs(value - read[-1]) > 0.999 * band:
+            rows.append(k)
+            read.append(value)
+    return np.array(rows), np.array(read)
+
+
+@pytest.mark.parametrize(
+    ("step", "band", "held"), [(0.5, 0.5, False), (0.25, 0.25, False), (0.01, 0.2, True), (1e-9, 0.4, True)]
+)
+def test_readings_that_are_sent_on_change_are_off_by_about_half_a_step(step, band, held):
+    time, felt = room()
+    rows, read = send(felt, step, band)
+    true = felt[rows]
+    stamps = time[rows]
+    if held:
+        read, true, stamps = read[np.searchsorted(rows, np.arange(len(time)), side="right") - 1], felt, time
+    sent = find_change_band(stamps, read)
+    assert sent is not None and sent.is_held == held and sent.band == pytest.approx(band, rel=0.06)
+    assert sent.std == pytest.approx(np.sqrt(np.mean((read - true) ** 2)), rel=0.25)
+    record = make(time=stamps, inputs={"u": np.sin(stamps / 1e3)}, outputs={"y": read})
+    (finding,) = [f for f in record.findings if f.code == RecordCode.SENT_ON_CHANGE]
+    assert finding.values["held"] == held
+
+
+def test_other_coarse_readings_are_not_sent_on_change():
+    rng = np.random.default_rng(2)
+    time, felt = room()
+    late = np.sort(rng.choice(time, 1500, replace=False))
+    encoder = np.round(np.abs(((np.arange(2000) * 0.37) % 400) - 200))
+    for stamps, read in (
+        (time, np.round(felt, 1)),
+        (late, np.round(np.interp(late, time, felt), 1)),
+        (time, np.where(rng.random(len(time)) > 0.5, 1.0, 0.0)),
+        (time, 1e-3 * time),
+        (0.01 * np.arange(2000), encoder),
+        (0.01 * np.arange(2000) + rng.uniform(0, 0.009, 2000), encoder),
+    ):
+        assert find_change_band(stamps, read) is None
+
+
+def test_a_gap_is_told_where_an_input_moved_in_it_and_splitting_where_pieces_would_hold_something():
+    time = np.array([0, 1, 2, 2.5, 3, 4, 7]) * 3600
+    table = {"x": np.exp(-time / 7200)}
+    few = [f for f in make(time=time, inputs={}, outputs=table).findings if f.code != RecordCode.FEW_ROWS]
+    assert [f.code for f in few] == [RecordCode.TIME_IRREGULAR]
+    (_, _, resting) = make(time=time, inputs={"u": np.ones(7)}, outputs=table).findings
+    assert resting.code == RecordCode.TIME_IRREGULAR
+    (_, driven) = make(time=time, inputs={"u": np.sin(time)}, outputs=table).findings
+    assert driven.code == RecordCode.INPUT_HELD_THROUGH_GAP
 
 
 def test_lost_rows_are_counted_where_the_others_keep_the_pace():

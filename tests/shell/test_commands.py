@@ -434,7 +434,17 @@ def test_simulate_never_overwrites_its_own_input(run: Run, tmp_path: Path) -> No
 
 
 def test_a_file_with_other_content_is_not_replaced_without_a_word(run: Run, tmp_path: Path) -> None:
-    drive = ("simulate", "micro_actuator", "--duration", 0.1, "--sampling-time", 1e-3, "--output", "y.csv", "--no-report")
+    drive = (
+        "simulate",
+        "micro_actuator",
+        "--duration",
+        0.1,
+        "--sampling-time",
+        1e-3,
+        "--output",
+        "y.csv",
+        "--no-report",
+    )
     assert run(*drive, "--step", 1).stderr == ""
     assert run(*drive, "--step", 1).stderr == ""  # the same once more
     assert run(*drive, "--step", 2).stderr == "note: y.csv held something else and was overwritten\n"

@@ -40,6 +40,7 @@ from greybox.data.noise.spectrum import (
 )
 from greybox.data.problems import is_constant
 from greybox.data.sampling import find_time_gaps
+from greybox.data.sensor_faults import find_change_band
 from greybox.model import Model
 
 
@@ -257,6 +258,8 @@ def _estimate_level(
     movement = _measure_movement(columns)
     # An error of rounding is uniform over a step: its standard deviation is step / sqrt(12).
     rounding = (repetition.estimate_resolution(columns) or repetition.estimate_written_step(columns)) / np.sqrt(12)
+    bands = (find_change_band(e.time, e.outputs[name]) for e in measured)
+    rounding = max([rounding, *(band.std for band in bands if band is not None)])
     level = (
         _repeated_level(experiments, name, inputs, robust, alike, policy)
         or _level_of_records(measured, name, inputs, rounding, robust, policy)

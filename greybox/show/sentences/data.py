@@ -142,6 +142,14 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     + _LEAVE_EMPTY
     + " (an end stop of the plant looks the same)",
     RecordCode.READING_COARSE: "{kind} '{subject}' reads in steps of {step:.4g}, which alone make an error of 0.29 steps (rms)",
+    RecordCode.SENT_ON_CHANGE: lambda f: (
+        f"{f.values.get('kind', 'output')} {f.subject!r} is sent when it has changed by {f.values['band']:.4g}: "
+        + (
+            "between two changes its last reading is repeated and off by up to so much (0.58 of it rms)"
+            if f.values["held"]
+            else "then a reading lies half a step from what the sensor feels"
+        )
+    ),
     RecordCode.INPUT_TAKEN_STRAIGHT: "input {subject} is smooth and carries the noise of a sensor, as what is measured does and a"
     " computer's output does not: it is taken as straight between its rows; if it is held tell so with hold='zero' (shell: --interpolate"
     " {subject}=zero)",

@@ -124,6 +124,11 @@ GOLDEN = {
         {"step": 0.0174533},
         "output 'q' reads in steps of 0.01745, which alone make an error of 0.29 steps (rms)",
     ),
+    RecordCode.SENT_ON_CHANGE: (
+        "T",
+        {"band": 0.5, "held": False},
+        "output 'T' is sent when it has changed by 0.5: then a reading lies half a step from what the sensor feels",
+    ),
     RecordCode.TIME_JITTER: (
         "",
         {"jitter": 1.02e-3, "usual_step": 0.016},
