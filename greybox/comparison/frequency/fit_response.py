@@ -1,7 +1,7 @@
 """A model measured by its frequency responses, alone or beside records over time: a plant, so that `greybox.fit` fits it.
 
 The model is linearised where the response was measured. Each complex point counts by its error over its standard deviation, its real and
-its imaginary part as one reading each of a record over frequency. The search begins on the logarithm of the response, where a resonance in
+its imaginary part as one reading each of a record over frequency; where the phase was not measured its magnitude is the reading. The search begins on the logarithm of the response, where a resonance in
 the wrong place still attracts, and ends on the response itself.
 """
 
@@ -140,7 +140,7 @@ class ResponsePlant:
 
     @cached_property
     def outputs(self) -> tuple[Output, ...]:
-        """Real and imaginary part of each channel that was measured, and the outputs of the records over time."""
+        """Real and imaginary part, or magnitude, of each channel that was measured, and the outputs of the records over time."""
         signals: list[Input | Output] = [*self.equations.inputs, *self.equations.outputs]
         units, parts = {s.name: s.unit or "1" for s in signals}, dict[str, str]()
         for response in self.responses:
@@ -163,12 +163,12 @@ class ResponsePlant:
     def _to_record(self, response: FrequencyResponse) -> Experiment:
         outputs, noise = {}, {}
         size = self._size(response)
-        # E|error|^2 = variance is shared by both parts: each has half of it.
-        std = None if response.variance is None else np.sqrt(response.variance / 2)
+        # E|error|^2 = variance is shared by both parts: each has half of it. A magnitude alone has all of its own.
+        std = None if response.variance is None else np.sqrt(response.variance / (1 + response.with_phase))
         for (y, u), names in self._channels(response).items():
             j, i = response.outputs.index(y), response.inputs.index(u)
             point = response.response[:, j, i] / size[:, j, i]
-            for name, part in zip(names, (point.real, point.imag), strict=True):
+            for name, part in zip(names, self._parts(response, point), strict=True):
                 outputs[name] = part
                 if std is not None:
                     known = std[:, j, i]
@@ -177,11 +177,17 @@ class ResponsePlant:
         return Experiment(response.name, response.frequency, inputs, outputs, noise=noise)
 
     @staticmethod
-    def _channels(response: FrequencyResponse) -> dict[tuple[str, str], tuple[str, str]]:
-        """Output and input -> names of the real and the imaginary part; those of a response without variance are shares of its size."""
+    def _channels(response: FrequencyResponse) -> dict[tuple[str, str], tuple[str, ...]]:
+        """Output and input -> names of what was measured of it (`_parts`); those of a response without variance are shares of its size."""
         kind = "_share" if response.variance is None else ""
+        parts = ("real", "imaginary") if response.with_phase else ("magnitude",)
         pairs = product(response.outputs, response.inputs)
-        return {(y, u): (f"{y}_per_{u}{kind}_real", f"{y}_per_{u}{kind}_imaginary") for y, u in pairs}
+        return {(y, u): tuple(f"{y}_per_{u}{kind}_{part}" for part in parts) for y, u in pairs}
+
+    @staticmethod
+    def _parts(response: FrequencyResponse, point: np.ndarray) -> tuple[np.ndarray, ...]:
+        """What was measured of complex points (N,): real and imaginary part, or the magnitude."""
+        return (point.real, point.imag) if response.with_phase else (np.abs(point),)
 
     @staticmethod
     def _size(response: FrequencyResponse) -> np.ndarray:
@@ -232,7 +238,7 @@ class ResponsePlant:
         parts: dict[str, np.ndarray] = {}
         for (y, u), names in self._channels(response).items():
             each = point[:, response.outputs.index(y), response.inputs.index(u)]
-            parts |= dict(zip(names, (each.real, each.imag), strict=True))
+            parts |= dict(zip(names, self._parts(response, each), strict=True))
         return nothing | parts
 
     @cached_property
@@ -275,7 +281,7 @@ class ResponsePlant:
                 known = np.isfinite(response.response) & (np.abs(response.response) > 0)
                 # ln(G / G_m) = ln |G / G_m| + i (phase difference)
                 error = np.log(response.response[known] / fitted[known])
-                parts += [error.real, error.imag]
+                parts += [error.real, error.imag] if response.with_phase else [error.real]
             whole = np.concatenate(parts)
             if not np.isfinite(whole).all():
                 raise PlantRunError("the response is zero or not finite")

@@ -40,6 +40,8 @@ class FrequencyResponse(Printable):
         Of a response of a held input and a sampled output, in seconds; 0 for a continuous one.
     name
         What results call it.
+    with_phase
+        Whether the phase was measured. Without it ``response`` holds magnitudes, and ``variance`` is theirs.
 
     Raises
     ------
@@ -60,6 +62,7 @@ class FrequencyResponse(Printable):
     variance: np.ndarray | None = None
     sampling_time: float = 0.0
     name: str = "frequency response"
+    with_phase: bool = True
 
     def __post_init__(self) -> None:
         frequency = np.asarray(self.frequency, dtype=float)
@@ -96,7 +99,7 @@ class FrequencyResponse(Printable):
         cls,
         frequency: Sequence[float] | np.ndarray,
         magnitude: Sequence[float] | np.ndarray,
-        phase: Sequence[float] | np.ndarray,
+        phase: Sequence[float] | np.ndarray | None,
         input: str,
         output: str,
         *,
@@ -110,7 +113,7 @@ class FrequencyResponse(Printable):
         Parameters
         ----------
         frequency, magnitude, phase
-            Hz, gain (not in dB), and radians, each (nf,).
+            Hz, gain (not in dB), and radians, each (nf,); None for a phase that was not measured.
         input, output
             Names of the signals.
         coherence, averages
@@ -121,7 +124,7 @@ class FrequencyResponse(Printable):
         name
             What results call it.
         """
-        response = np.asarray(magnitude, float) * np.exp(1j * np.asarray(phase, float))
+        response = np.asarray(magnitude, float) * np.exp(1j * np.asarray(0.0 if phase is None else phase, float))
         variance = None if std is None else np.asarray(std, float) ** 2
         if coherence is not None:
             share = np.asarray(coherence, float)
@@ -131,7 +134,8 @@ class FrequencyResponse(Printable):
             # |G|^2 (1 - c) / (c n); a coherence of one would make a point infinitely certain, hence the floor.
             variance = np.abs(response) ** 2 * np.maximum(1 - share, floor) / (share * averages)
         cube = None if variance is None else variance[:, None, None]
-        return cls(np.asarray(frequency, float), response[:, None, None], (input,), (output,), cube, name=name)
+        points = np.asarray(frequency, float), response[:, None, None]
+        return cls(*points, (input,), (output,), cube, name=name, with_phase=phase is not None)
 
 
 def read_frequency_response(
@@ -145,8 +149,8 @@ def read_frequency_response(
 ) -> FrequencyResponse:
     """Read the response of one channel from a file of any kind that records are read from.
 
-    Headers are ``frequency [Hz]`` or ``omega [rad/s]``; ``real`` and ``imag``, or ``magnitude`` (``[dB]`` too) and ``phase`` (degrees
-    unless the unit is rad); and, if known, ``coherence``, ``std`` or ``variance`` of the points.
+    Headers are ``frequency [Hz]`` or ``omega [rad/s]``; ``real`` and ``imag``, or ``magnitude`` (``[dB]`` too), alone or with ``phase``
+    (degrees unless the unit is rad); and, if known, ``coherence``, ``std`` or ``variance`` of the points.
 
     Parameters
     ----------
@@ -200,14 +204,15 @@ def read_frequency_response(
     magnitude = next((parts[n] for n in ("magnitude", "mag", "gain") if n in parts), None)
     if "real" in parts and "imag" in parts:
         response: np.ndarray = values.arrays[parts["real"].position] + 1j * values.arrays[parts["imag"].position]
-    elif magnitude is not None and "phase" in parts:
+    elif magnitude is not None:
         gain = values.arrays[magnitude.position]
-        gain = 10 ** (gain / 20) if magnitude.unit.lower() == "db" else gain
-        angle = values.arrays[parts["phase"].position]
-        angle = read_conversion(parts["phase"].unit or "deg", "rad")(angle)
-        response = np.asarray(gain * np.exp(1j * angle))
+        response = 10 ** (gain / 20) if magnitude.unit.lower() == "db" else gain
+        if "phase" in parts:
+            angle = values.arrays[parts["phase"].position]
+            angle = read_conversion(parts["phase"].unit or "deg", "rad")(angle)
+            response = np.asarray(response * np.exp(1j * angle))
     else:
-        raise DataError(f"{file.path.name}: give the columns real and imag, or magnitude and phase")
+        raise DataError(f"{file.path.name}: give the columns real and imag, or magnitude, with phase or alone")
     # Files of swept sines may run downwards.
     order = np.argsort(frequency)
     known: dict[str, np.ndarray] = {}
@@ -218,6 +223,7 @@ def read_frequency_response(
         size = values.arrays[parts[name].position][order]
         known["std"] = size if name == "std" else np.sqrt(size)
     whole = response[order]
+    phase = np.angle(whole) if np.iscomplexobj(whole) else None
     return FrequencyResponse.from_points(
-        frequency[order], np.abs(whole), np.angle(whole), input, output, averages=averages, name=file.path.stem, **known
+        frequency[order], np.abs(whole), phase, input, output, averages=averages, name=file.path.stem, **known
     )

@@ -118,8 +118,9 @@ def write_response(response: FrequencyResponse) -> str:
     """Points, band, channels, and whether their noise is known."""
     low, high = response.frequency[[0, -1]]
     noise = "without variance" if response.variance is None else "with variance"
+    what = "points" if response.with_phase else "magnitudes"
     return (
-        f"{response.name}: {response.points} points from {low:.4g} to {high:.4g} Hz, {', '.join(response.inputs)} to"
+        f"{response.name}: {response.points} {what} from {low:.4g} to {high:.4g} Hz, {', '.join(response.inputs)} to"
         f" {', '.join(response.outputs)}, {noise}"
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import optimize, signal
 
 import greybox as gb
 from greybox.base.errors import DataError
@@ -137,3 +137,34 @@ def test_points_that_cannot_be_are_refused(change, message):
 def test_a_signal_that_the_model_does_not_have_is_refused():
     with pytest.raises(DataError, match="has no output 'z'"):
         fit_frequency_response(TRUE, FrequencyResponse([1.0], np.ones((1, 1, 1)), ("u",), ("z",)))
+
+
+def test_a_resonance_curve_without_phase_is_a_measurement(tmp_path):
+    exact = exact_response(BAND)[0]
+    rng = np.random.default_rng(5)
+    std = 0.01 * np.abs(exact)
+    magnitude = np.abs(exact) + std * rng.standard_normal(len(BAND))
+    rows = "\n".join(f"{f:.9g},{20 * np.log10(m):.9g}" for f, m in zip(BAND, magnitude, strict=True))
+    (tmp_path / "curve.csv").write_text(f"frequency [Hz],magnitude [dB]\n{rows}\n")
+    read = read_frequency_response(tmp_path / "curve.csv", "u", "x")
+    assert not read.with_phase
+    np.testing.assert_allclose(read.response[:, 0, 0], magnitude, rtol=1e-7)
+
+    # scipy's own least squares on the magnitude, from the transfer function written out by hand
+    def error(z):
+        M, Kf, Kv, La, Ra = (TRUE.parameter(n).value for n in ("M", "Kf", "Kv", "La", "Ra"))
+        s = 2j * np.pi * BAND
+        mechanical = M * s**2 + np.exp(z[0]) * s + np.exp(z[1])
+        return (np.abs(Kf / (mechanical * (La * s + Ra) + Kf * Kv * s)) - magnitude) / std
+
+    known = FrequencyResponse.from_points(BAND, magnitude, None, "u", "x", std=std)
+    result = fit_frequency_response(START, known)
+    own = optimize.least_squares(error, np.log([START.values["B"], START.values["K"]]), x_scale="jac", xtol=1e-14)
+    spread = np.sqrt(np.diag(np.linalg.inv(own.jac.T @ own.jac)))
+    for k, name in enumerate(("B", "K")):
+        assert result.parameters[name].value == pytest.approx(np.exp(own.x[k]), rel=1e-5)
+        assert result.parameters[name].std == pytest.approx(np.exp(own.x[k]) * spread[k], rel=0.02)
+    assert result.misfit["x_per_u_magnitude"].noise_ratio == pytest.approx(np.sqrt(2 * own.cost / len(BAND)), rel=0.02)
+    # Without a std each point is known by a share of its size.
+    far = TRUE.start(K=TRUE.parameter("K").value / 4)
+    assert fit_frequency_response(far, read).parameters["K"].value == pytest.approx(result.parameters["K"].value, rel=5e-3)
