@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 
 import casadi as ca
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from greybox.base.linear_algebra import SymmetricDecomposition, decompose_symmetric, eliminate, pseudo_inverse
-from greybox.base.numerics import PRIOR_INFORMATION_CUTOFF, TINY
+from greybox.base.linear_algebra import (
+    DIRECTION_RANK,
+    SymmetricDecomposition,
+    decompose_columns,
+    decompose_symmetric,
+    eliminate,
+    pseudo_inverse,
+)
+from greybox.base.numerics import DIRECTION_CUTOFF, PRIOR_INFORMATION_CUTOFF, TINY
+from greybox.estimation.identifiability.combinations import find_sparsest_vectors, is_integer, to_small_integers
+from greybox.estimation.identifiability.transfer_functions import format_polynomial
 from greybox.estimation.objective import LikelihoodMaximum, ResidualRows
 from greybox.estimation.result_parts import Estimate, IntervalKind, PriorCheck
 from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, sum_scores
@@ -37,6 +48,16 @@ class NarrowedInterval:
 
 
 @dataclass(frozen=True)
+class KnownCombination:
+    """What the data do determine of constants that they leave open: ``a - b``, its value, standard deviation and 95 % interval."""
+
+    text: str
+    value: float
+    std: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class ParameterCovariance:
     """``covariance`` (nf, nf) of the free constants, and directions that the data do not determine: names with weights.
 
@@ -58,6 +79,8 @@ class ParameterCovariance:
     """Standard deviation of the logarithm of each noise level that was estimated with the rest (k,)."""
     held: tuple[NarrowedInterval, ...] = ()
     """Constants whose intervals rest on others being exactly at their bounds."""
+    combinations: tuple[KnownCombination, ...] = ()
+    """Products and sums of the constants in the open directions that change along none of them."""
 
     @classmethod
     def unknown(cls, variables: DecisionVector) -> ParameterCovariance:
@@ -99,6 +122,13 @@ class ParameterCovariance:
             _place(information, variables),
             _place(scores, variables),
             np.sqrt(variance[k:]),
+            combinations=find_known_combinations(
+                [variables.names[j] for j in inside],
+                variables.fixed[variables.which[inside]],
+                spans[:, None] * (decomposition.weak / decomposition.scale[:, None])[:k],
+                spread[:k, :k] * np.outer(spans, spans),
+                degrees,
+            ),
         )
 
 
@@ -348,6 +378,57 @@ def list_open_directions(names: list[str], information: SymmetricDecomposition) 
         shares = vector / vector[np.argmax(np.abs(vector))]
         result.append({name: float(w) for name, w in zip(names, shares, strict=True) if abs(w) > 1e-2})
     return tuple(result)
+
+
+def find_known_combinations(
+    names: Sequence[str], values: np.ndarray, null: np.ndarray, spread: np.ndarray, degrees: float
+) -> tuple[KnownCombination, ...]:
+    """The products of powers and the sums of constants that are determined where the constants are not.
+
+    Parameters
+    ----------
+    names, values
+        The constants (n,).
+    null
+        Directions (n, k) along which the data determine nothing, in the constants' units.
+    spread
+        Covariance (n, n) of the constants along the other directions.
+    degrees
+        Of freedom of the variance behind it.
+    """
+    null = null[:, np.abs(null).max(axis=0, initial=0.0) > 0]  # others are those of noise levels alone
+    if not null.size:
+        return ()
+    reach = (np.abs(null) / np.maximum(np.abs(values)[:, None], TINY)).max(axis=1)
+    touched = reach > DIRECTION_CUTOFF * reach.max()
+    point, matrix = values[touched], spread[np.ix_(touched, touched)]
+    open_names = [name for name, is_open in zip(names, touched, strict=True) if is_open]
+    by_constants: dict[frozenset[int], list[KnownCombination]] = {}
+    # A product changes by the sum of its powers times relative changes, a sum by that of the changes: both at right angles to `null`.
+    for is_product in (True, False):
+        if is_product and not point.all():
+            continue
+        scale = point if is_product else np.ones(len(point))
+        changes = null[touched] / scale[:, None]
+        directions = changes / np.linalg.norm(changes, axis=0)
+        for vector in find_sparsest_vectors(decompose_columns(directions.T, DIRECTION_RANK, np.ones(len(point))).weak):
+            powers = to_small_integers(vector)
+            if not is_integer(powers) or (powers != 0).sum() < 2 or not (is_product or np.abs(powers).max() == 1):
+                continue
+            powers = powers if powers.sum() >= 0 else -powers
+            value = float(np.prod(point**powers) if is_product else powers @ point)
+            slope = powers / point * value if is_product else powers
+            std = float(np.sqrt(slope @ matrix @ slope))
+            whole_powers = powers.astype(int)
+            terms = [whole_powers] if is_product else list(np.diag(np.abs(whole_powers))[powers != 0])
+            factors = [1] if is_product else whole_powers[powers != 0].tolist()
+            poly = {tuple(e.tolist()): Fraction(f) for e, f in zip(terms, factors, strict=True)}
+            text = format_polynomial(poly, open_names)
+            low, high = compute_interval(value, compute_quantile(degrees) * std, False, (-np.inf, np.inf))
+            combination = KnownCombination(text, value, std, (low, high))
+            by_constants.setdefault(frozenset(np.flatnonzero(powers).tolist()), []).append(combination)
+    # Of constants that are equal both hold near this point, and nothing says which holds elsewhere.
+    return tuple(each[0] for each in by_constants.values() if len(each) == 1)
 
 
 def _reduce_information(information: np.ndarray, wanted: np.ndarray, others: np.ndarray) -> np.ndarray:

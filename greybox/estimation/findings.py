@@ -47,6 +47,7 @@ class EstimationCode(StrEnum):
     MODEL_DOES_NOT_FOLLOW = "model_does_not_follow"
     NO_FREEDOM = "no_freedom"
     DIRECTION_UNDETERMINED = "direction_undetermined"
+    COMBINATION_DETERMINED = "combination_determined"
     STOPPED_BY_BOUND = "stopped_by_bound"
     NARROWED_BY_BOUND = "narrowed_by_bound"
     PARAMETER_UNDETERMINED = "parameter_undetermined"
@@ -271,6 +272,9 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
         warn(EstimationCode.NO_FREEDOM, readings=count, unknowns=variables.size)
     for direction in covariance.open_directions:
         warn(EstimationCode.DIRECTION_UNDETERMINED, direction=dict(direction))
+    for known in covariance.combinations:
+        numbers = {"value": known.value, "std": known.std, "interval": list(known.interval)}
+        warn(EstimationCode.COMBINATION_DETERMINED, Severity.NOTE, text=known.text, **numbers)
     tested = [test.name for test in optimum.tests]
     zero = [test.name for test in optimum.tests if test.value == 0]
     at_bound = [n for n, e in estimates.items() if e.at_bound and n not in zero]

@@ -1,8 +1,8 @@
 """A model measured by its frequency responses, alone or beside records over time: a plant, so that `greybox.fit` fits it.
 
 The model is linearised where the response was measured. Each complex point counts by its error over its standard deviation, its real and
-its imaginary part as one reading each of a record over frequency; where the phase was not measured its magnitude is the reading. The search begins on the logarithm of the response, where a resonance in
-the wrong place still attracts, and ends on the response itself.
+its imaginary part as one reading each of a record over frequency; without a phase the magnitude is the reading. The search begins on the
+logarithm of the response, where a resonance in the wrong place still attracts, and ends on the response itself.
 """
 
 from __future__ import annotations

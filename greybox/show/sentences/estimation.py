@@ -94,6 +94,13 @@ def write_direction(direction: dict[str, float]) -> str:
     return f"{', '.join(names)} can change together without changing the outputs: fix one of them, or measure another output"
 
 
+def _write_known_combination(finding: Finding) -> str:
+    v = finding.values
+    low, high = map(wording.make_formatter(v["value"], v["std"]), v["interval"])
+    value = wording.format_with_std(v["value"], v["std"])
+    return f"determined all the same: {v['text']} = {value}, 95 % interval [{low}, {high}]"
+
+
 def _write_misfit_ratio(finding: Finding) -> str:
     outliers = ", outliers excluded" if finding.values["without_outliers"] else ""
     ratio, least = finding.values["ratio"], finding.values.get("least_ratio")
@@ -402,6 +409,7 @@ register(
         EstimationCode.DIRECTION_UNDETERMINED: lambda f: (
             f"not determined by these data: {write_direction(f.values['direction'])}"
         ),
+        EstimationCode.COMBINATION_DETERMINED: _write_known_combination,
         EstimationCode.NO_FREEDOM: (
             "{readings} readings for {unknowns} constants and first states: nothing is left that would tell the noise, so no interval can"
             " be given; tell the noise (--noise), or record more rows"

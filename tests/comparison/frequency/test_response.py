@@ -167,4 +167,6 @@ def test_a_resonance_curve_without_phase_is_a_measurement(tmp_path):
     assert result.misfit["x_per_u_magnitude"].noise_ratio == pytest.approx(np.sqrt(2 * own.cost / len(BAND)), rel=0.02)
     # Without a std each point is known by a share of its size.
     far = TRUE.start(K=TRUE.parameter("K").value / 4)
-    assert fit_frequency_response(far, read).parameters["K"].value == pytest.approx(result.parameters["K"].value, rel=5e-3)
+    assert fit_frequency_response(far, read).parameters["K"].value == pytest.approx(
+        result.parameters["K"].value, rel=5e-3
+    )

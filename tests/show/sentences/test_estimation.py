@@ -25,6 +25,12 @@ ONE, TWO = {"parameters": ["K"]}, {"parameters": ["K", "B"]}
 
 GOLDEN = [
     (
+        "combination_determined",
+        "",
+        {"text": "a - b", "value": 1.27153, "std": 0.0022, "interval": [1.2672, 1.2757]},
+        "determined all the same: a - b = 1.2715 +- 0.0022, 95 % interval [1.2672, 1.2757]",
+    ),
+    (
         "no_freedom",
         "",
         {"readings": 3, "unknowns": 3},
