@@ -27,7 +27,7 @@ from greybox.base.numerics import TINY
 from greybox.base.values import ReadOnly
 from greybox.discovery.candidates import family_of
 from greybox.discovery.curve_shape import TIME
-from greybox.discovery.decision import Conclusion, Grade, Verdict, make_check
+from greybox.discovery.decision import Conclusion, Decision, Grade, Verdict, make_check
 from greybox.discovery.disturbance_sites import SiteKind, list_disturbance_sites, site_label
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.laws.terms import claimed_name
@@ -298,7 +298,7 @@ def weigh_claims(
         for value, frequency in keys.most_common():
             if frequency >= LEAST_FREQUENCY and (made := context.claim(depth, value, key)):
                 claims.append(_hold_below(made, claims))
-    return _allow_for_sensors(claims)
+    return grade_claims(claims)
 
 
 def _hold_below(claim: Claim, claims: Sequence[Claim]) -> Claim:
@@ -311,24 +311,81 @@ def _hold_below(claim: Claim, claims: Sequence[Claim]) -> Claim:
         and (c.depth < Depth.VARIABLES or c.variables == claim.variables)
         and (c.depth < Depth.FAMILY or c.family == claim.family)
     ]
-    probability = min([claim.probability, *implied])
-    return replace(claim, probability=probability, grade=to_grade(probability))
+    return replace(claim, probability=min([claim.probability, *implied]))
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """What a grade rests on beside the probability of a claim.
+
+    Parameters
+    ----------
+    names
+        What the effects of the model that is handed over are called; None where no model is meant.
+    laws
+        Those of them that are terms of one equation.
+    nonsense
+        Labels of the sites at which signals without meaning are established more often than a claim may be wrong.
+    has_rivals
+        Whether the rivals of these effects could be fitted.
+    is_cut
+        Whether the time was over before all rivals were tried.
+    is_settled
+        Whether another fit that begins where the models ended ends there too.
+    is_contradicted
+        Whether records that took no part speak against the model: that something is missing remains.
+    """
+
+    names: Collection[str] | None = None
+    laws: Collection[str] = ()
+    nonsense: Collection[str] = ()
+    has_rivals: bool = True
+    is_cut: bool = False
+    is_settled: bool = True
+    is_contradicted: bool = False
+
+    def object_to(self, claim: Claim) -> bool:
+        """Whether something else than its probability keeps a claim from being established."""
+        if self.is_cut or not self.is_settled:
+            return True
+        if self.is_contradicted and claim.depth is not Depth.MISSING:
+            return True
+        # A signal over time has no variables, no family and no name; where it acts it has as well.
+        if claim.depth >= Depth.VARIABLES and set(self.nonsense) & set(claim.sites):
+            return True
+        if not claim.name:
+            return False
+        # The certain answer is the model that is handed over, and a name that was held against no rival is not certain.
+        return not self.has_rivals or (self.names is not None and claim.name not in self.names)
+
+
+NO_GROUNDS = Grounds()
+
+
+def grade_claims(claims: Sequence[Claim], grounds: Grounds = NO_GROUNDS) -> tuple[Claim, ...]:
+    """What may be said of each claim: by its probability, and no more than probable where something else objects to it."""
+
+    def grade(claim: Claim, is_open: bool) -> Claim:
+        """Established only where nothing leaves it open."""
+        made = to_grade(claim.probability)
+        return replace(claim, grade=Grade.PROBABLE if is_open and made is Grade.ESTABLISHED else made)
+
+    graded = [grade(c, grounds.object_to(c)) for c in claims]
+    # The terms of a law are one equation, and none is certain where another is not: what the one has too much the other takes back.
+    certain = {c.name for c in graded if c.name and c.is_established}
+    if not certain >= set(grounds.laws):
+        graded = [grade(c, grounds.object_to(c) or c.name in grounds.laws) for c in graded]
+    # That something acts at a sensor, or at the plant or that sensor, is true of every record where it is no more than any sensor may be
+    # off by. A name that is established has beaten what a sensor does, and keeps its place.
+    named_at = {c.sites for c in graded if c.name and c.is_established}
+    return tuple(
+        grade(c, not c.is_established or (_is_within_sensor_class(c) and c.sites not in named_at and not c.name))
+        for c in graded
+    )
 
 
 # Share of its range by which a sensor is commonly off: a scale that bends, a gain, a slow drift. Class 1 of industrial meters.
 SENSOR_CLASS = 0.01
-
-
-def _allow_for_sensors(claims: Sequence[Claim]) -> tuple[Claim, ...]:
-    """The claims, where what is missing is no more than any sensor may be off by.
-
-    That something acts at a sensor, or at the plant or that sensor, is then true of every record, and not established. A name that is
-    established has beaten what a sensor does, and keeps its place.
-    """
-    certain = {c.sites for c in claims if c.depth is Depth.NAME and c.is_established}
-    return tuple(
-        lower_grade(c) if _is_within_sensor_class(c) and c.sites not in certain and not c.name else c for c in claims
-    )
 
 
 def _is_within_sensor_class(claim: Claim) -> bool:
@@ -412,8 +469,7 @@ class _Context:
             frequency=frequency,
             left=self.left,
         )
-        probability = weigh_claim(claim)
-        claim = replace(claim, probability=probability, grade=to_grade(probability))
+        claim = replace(claim, probability=weigh_claim(claim))
         if depth < Depth.NAME or shown is None:
             return claim
         equals = self._equals(best, shown)
@@ -548,11 +604,6 @@ def to_grade(probability: float) -> Grade:
     return Grade.PROBABLE if probability >= PROBABLE_FROM else Grade.STAND_IN
 
 
-def lower_grade(claim: Claim) -> Claim:
-    """The same claim where not all of its rivals were tried: what was established is only probable."""
-    return replace(claim, grade=Grade.PROBABLE) if claim.is_established else claim
-
-
 def name_claim(claims: Sequence[Claim], effect: str) -> Claim | None:
     """What is claimed of one effect by name; None where it is not."""
     return next((c for c in claims if c.depth is Depth.NAME and c.name == effect), None)
@@ -578,17 +629,29 @@ def place_within_sensor_class(claims: Sequence[Claim]) -> Claim | None:
 
 
 def read_verdict(
-    decided: Conclusion, claims: Sequence[Claim], effects: Sequence[str], rivals: Sequence[Sequence[str]] = ()
+    rest: Decision, claims: Sequence[Claim], effects: Sequence[str], rivals: Sequence[Sequence[str]] = ()
 ) -> Conclusion:
-    """The verdict once the claims are weighed: a name is certain only where it is established.
+    """The verdict: this is where it is decided what is said.
 
-    A model whose residual is noise is ``named`` only if each of its ``effects`` is established. Where some are, and the residual is not
-    noise or others are doubtful, the verdict is ``partly``; where none is, ``unknown``. Sets that the records cannot tell apart
-    (``rivals`` of the model) stay ``ambiguous`` where one of them is probable, and so is a model whose names fall short of certainty by
-    nothing but their equals.
+    Parameters
+    ----------
+    rest
+        Whether the model of the answer leaves only noise (`greybox.discovery.decision.judge_rest`).
+    claims
+        What is claimed, graded.
+    effects
+        What the effects of that model are called; none for the plain one.
+    rivals
+        Sets of effects that the records cannot tell from these.
+
+    Returns
+    -------
+    Conclusion
+        ``complete`` for a plain model that leaves only noise. One with effects is ``named`` only if each of them is established as well.
+        Where some are, and the residual is not noise or others are doubtful, it is ``partly``, and so it is where a place, a variable or
+        a family is established and no name; where nothing is, ``unknown``. Sets that the records cannot tell apart are ``ambiguous``
+        where one of them is probable, and so is a model whose names fall short of certainty by nothing but their equals.
     """
-    if decided.verdict is Verdict.COMPLETE or not effects:
-        return decided
     made = [name_claim(claims, effect) for effect in effects]
     checks = tuple(
         make_check(
@@ -601,7 +664,12 @@ def read_verdict(
         for effect, claim in zip(effects, made, strict=True)
     )
     established = [check.passed for check in checks]
-    verdict = decided.verdict
+    if not rest:
+        verdict = Verdict.UNKNOWN
+    elif not effects:
+        verdict = Verdict.COMPLETE
+    else:
+        verdict = Verdict.AMBIGUOUS if rivals else Verdict.NAMED
     if verdict is Verdict.NAMED and not all(established):
         tied = [c is not None and bool(c.equals) and c.joint >= ESTABLISHED_FROM for c in made]
         certain = [sure or tie for sure, tie in zip(established, tied, strict=True)]
@@ -611,9 +679,9 @@ def read_verdict(
     besides = sum(claim.probability for claim in claims if claim.depth is Depth.NAME and claim.name in others)
     if verdict is Verdict.AMBIGUOUS and any(c is None or c.joint + besides < PROBABLE_FROM for c in made):
         verdict = Verdict.UNKNOWN
-    if verdict is Verdict.UNKNOWN and any(established):
+    if verdict is Verdict.UNKNOWN and (any(established) or deepest_established(claims) is not None):
         verdict = Verdict.PARTLY
-    return Conclusion(verdict, (*decided.checks, *checks))
+    return Conclusion(verdict, (*rest.checks, *checks))
 
 
 def list_tied_sets(claims: Sequence[Claim], effects: Sequence[str]) -> list[tuple[str, ...]]:

@@ -6,18 +6,19 @@ import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
 from greybox.base import Check, Finding, Severity
 from greybox.discovery.claims import (
+    NO_GROUNDS,
     Claim,
     Depth,
+    Grounds,
     Weights,
-    deepest_established,
+    grade_claims,
     list_tied_sets,
-    lower_grade,
     name_claim,
     read_verdict,
     weigh_claims,
@@ -27,7 +28,7 @@ from greybox.discovery.decision import (
     Decision,
     Grade,
     Verdict,
-    decide_verdict,
+    judge_rest,
     make_check,
 )
 from greybox.discovery.effect_signal import (
@@ -37,7 +38,13 @@ from greybox.discovery.effect_signal import (
     measure_remaining_error,
 )
 from greybox.discovery.execution import SearchStage
-from greybox.discovery.false_names import MOST_SIGNALS, ContestTable, FalseNameRate, lower_common, measure_false_names
+from greybox.discovery.false_names import (
+    MOST_SIGNALS,
+    ContestTable,
+    FalseNameRate,
+    list_nonsense_sites,
+    measure_false_names,
+)
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
@@ -76,7 +83,6 @@ from greybox.discovery.residual_noise import (
     WHITE_CORRELATION,
     excess_autocorrelation,
     is_level_known,
-    is_shape_correction,
 )
 from greybox.discovery.result import Discovery, RankedCandidate, quote_test_error
 from greybox.discovery.rivals import RivalSearch, refit_curves_in_place, refit_rivals
@@ -107,12 +113,14 @@ class SearchAnswer:
         The selection, with the plain model and that of the answer as validated fits.
     final
         The model of the answer.
-    decided
-        The verdict, and the checks that it rests on.
+    rest
+        Whether that leaves only noise.
     location
         What the plain model leaves unexplained, and where.
-    claims
-        What resampling the records says.
+    weighed
+        What resampling the records says, with its probabilities.
+    grounds
+        What the grades of these rest on beside.
     rates
         How often signals without meaning would have been established in the place of its effects.
     signals
@@ -123,24 +131,41 @@ class SearchAnswer:
         How many terms of equations were tried; 0 where none were looked for.
     findings
         What a user should know beside the verdict.
+    checks
+        Those against the plain model, on the records that judge and on those that took no part.
     rejected
         Names of its effects where the plain model is the answer in their place; "" for an answer that stands.
-    is_worse
-        Whether that is for the records that took no part.
     """
 
     judged: JudgedSelection
     final: FinalModel
-    decided: Conclusion
+    rest: Decision
     location: ResidualLocalisation
-    claims: tuple[Claim, ...] = ()
+    weighed: tuple[Claim, ...] = ()
+    grounds: Grounds = NO_GROUNDS
     rates: tuple[FalseNameRate, ...] = ()
     signals: tuple[EffectSignal, ...] = ()
     refinement: Refinement | None = None
     terms: int = 0
     findings: tuple[Finding, ...] = ()
+    checks: tuple[Check, ...] = ()
     rejected: str = ""
-    is_worse: bool = False
+
+    @property
+    def problem(self) -> DiscoveryProblem:
+        """The records and the noise of its search."""
+        return self.judged.selection.problem
+
+    @cached_property
+    def claims(self) -> tuple[Claim, ...]:
+        """What is said, with its grades."""
+        return grade_claims(self.weighed, self.grounds)
+
+    @cached_property
+    def decided(self) -> Conclusion:
+        """The verdict, with the checks that it rests on."""
+        tied = [rival.effects for rival in self.judged.rivals]
+        return read_verdict(self.rest, self.claims, list_named_effects(self.judged), tied)
 
     @property
     def verdict(self) -> Verdict:
@@ -148,19 +173,9 @@ class SearchAnswer:
         return self.decided.verdict
 
     @property
-    def problem(self) -> DiscoveryProblem:
-        """The records and the noise of its search."""
-        return self.judged.selection.problem
-
-    @property
     def names(self) -> list[Claim]:
         """The claims of its effects by name."""
         return [c for e in list_named_effects(self.judged) if (c := name_claim(self.claims, e)) is not None]
-
-    @property
-    def is_probable(self) -> bool:
-        """Whether one of its effects is probable."""
-        return any(claim.grade is Grade.PROBABLE for claim in self.names)
 
     @property
     def is_open(self) -> bool:
@@ -168,10 +183,14 @@ class SearchAnswer:
         return self.verdict in (Verdict.UNKNOWN, Verdict.PARTLY)
 
     @property
-    def is_deeper(self) -> bool:
-        """Whether something is established where no name is: the answer goes as deep as the records carry."""
-        skipped = self.problem.executor.skipped
-        return self.verdict is Verdict.UNKNOWN and not skipped and deepest_established(self.claims) is not None
+    def is_nameless(self) -> bool:
+        """Whether something is missing, and no name of an effect is even probable."""
+        return self.is_open and all(claim.grade is Grade.STAND_IN for claim in self.names)
+
+    @property
+    def has_certain_name(self) -> bool:
+        """Whether an effect is established, or one of a few that the records cannot tell apart."""
+        return not self.is_open or any(claim.is_established for claim in self.names)
 
 
 def conclude(
@@ -212,40 +231,25 @@ def conclude(
 
 def _weigh_answer(judged: JudgedSelection, candidates: Sequence[Effect], further: bool) -> SearchAnswer:
     """The selected model, with smaller effects where more than noise is left, beside all its rivals."""
-    selection, problem = judged.selection, judged.selection.problem
-    decided = _decide(judged)
+    rest = _judge_rest(judged)
     final = FinalModel(judged.scores, judged.selected, judged.best)
     refinement: Refinement | None = None
     has_law = any(is_law(e.name) for e in list_added_effects(judged))
     may_add = bool(candidates) and not has_law  # beside a law the terms were the candidates
-    if may_add and (further or decided.verdict is Verdict.UNKNOWN or _may_hold_more(judged)):
+    if may_add and (further or not rest or _may_hold_more(judged)):
         final, refinement = _refine(judged, candidates)
-    signals = _estimate_signals(final)
-    location = _locate(judged.baseline, selection)
-    claims: tuple[Claim, ...] = ()
-    rates: tuple[FalseNameRate, ...] = ()
-    if (candidates or has_law) and decided.verdict is not Verdict.COMPLETE:
-        problem.executor.release_reserve()
-        known = selection.fits if refinement is None or not refinement.steps else {}
-        rivals = RivalSearch(
-            final.scores.problem,
-            selection.scales,
-            candidates,
-            final.candidate,
-            selection.baseline,
-            known,
-            signals,
-            selection.policy,
-        )
-        weigh = partial(_weigh, judged, rivals, location)
-        claims, rates = problem.failures.attempt(SearchStage.EVIDENCE, final.candidate.effects, weigh, ((), ()))
-        if problem.executor.skipped:  # not all rivals were tried
-            claims = tuple(map(lower_grade, claims))
-    tied = [rival.effects for rival in judged.rivals]
-    named = [name for name in final.candidate.names if not is_shape_correction(name)]
-    decided = read_verdict(decided, claims, named, tied)
     judged = replace(judged, best=final.fit, holdout=compare_holdout_errors(judged.base, final.fit))
-    return SearchAnswer(judged, final, decided, location, claims, rates, signals, refinement)
+    location = _locate(judged.baseline, judged.selection)
+    answer = SearchAnswer(judged, final, rest, location, signals=_estimate_signals(final), refinement=refinement)
+    if not (candidates or has_law) or answer.verdict is Verdict.COMPLETE:
+        return answer
+    answer.problem.executor.release_reserve()
+    weigh = partial(_weigh, answer, candidates)
+    weighed: SearchAnswer = answer.problem.failures.attempt(
+        SearchStage.EVIDENCE, final.candidate.effects, weigh, answer
+    )
+    is_cut = bool(answer.problem.executor.skipped)  # not all rivals were tried
+    return replace(weighed, grounds=replace(weighed.grounds, is_cut=is_cut))
 
 
 def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem, candidates: Sequence[Effect]) -> SearchAnswer:
@@ -262,7 +266,8 @@ def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem, candidates: Sequen
     is_probable = any(claim is not None and claim.grade is not Grade.STAND_IN for claim in made)
     # One of several that do the same may be said too, or no more than where it acts and of what; and a plain model that only was stuck
     # lacks nothing.
-    says_more = is_probable or with_law.verdict is not Verdict.UNKNOWN or (with_law.is_deeper and not answer.is_deeper)
+    is_deeper = with_law.verdict is Verdict.PARTLY and answer.verdict is not Verdict.PARTLY
+    says_more = is_probable or with_law.has_certain_name or is_deeper
     return with_law if says_more else replace(answer, terms=terms)
 
 
@@ -272,7 +277,7 @@ def _look_for_laws(answer: SearchAnswer, problem: DiscoveryProblem) -> tuple[Jud
     selection, table = copy(judged.selection), FitTable(HoldoutScores(problem, validation))
     selection.problem, selection.baseline, beside = problem, problem.baseline, problem.baseline
     # What is established stays in the model, and the law is looked for beside it.
-    if answer.verdict is Verdict.PARTLY:
+    if answer.is_open and answer.has_certain_name:
         known = answer.final.candidate
         beside = problem.refit_best(known.model, [known.model.values], 1, like=known) or beside
     proposal = propose_laws(problem, table.scores, beside, selection.on_message)
@@ -304,8 +309,10 @@ def _finish_answer(answer: SearchAnswer) -> SearchAnswer:
     best, more = (base, ()) if judged.best is judged.base else _finish(judged, judged.best)
     judged = replace(judged, base=base, best=best, holdout=compare_holdout_errors(base, best))
     words = (*doubts, *more)
+    is_settled = not any(not word.values["is_late"] for word in words)
     return replace(
         answer,
+        grounds=replace(answer.grounds, is_settled=is_settled),
         judged=judged,
         final=replace(answer.final, fit=best),
         refinement=None if answer.refinement is None else replace(answer.refinement, fit=best),
@@ -316,39 +323,40 @@ def _finish_answer(answer: SearchAnswer) -> SearchAnswer:
 
 def _keep_if_better(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
     """The answer where it does better than the plain model on the records that judge it; else the plain model is the answer."""
-    judged, decided = answer.judged, answer.decided
+    judged = answer.judged
     added = list_added_effects(judged)
     if not added:
         return answer
     names = " + ".join(write_effect(judged.best.model, e) for e in added)
     better = judge_against_plain(judged.base, judged.best, judged.scores.validation.uncounted, names)
     kept = judge_on_test(answer.problem, judged.base, judged.best, test, names)
-    checks = (*decided.checks, *better.checks, *kept.checks)
-    is_worse = better.passed and not kept
+    checks = (*better.checks, *kept.checks)
     if better and kept:
-        return replace(answer, decided=replace(decided, checks=checks), is_worse=is_worse)
+        return replace(answer, checks=checks)
+    # Records that took no part speak against the model, and so against its names; where something acts, and of what, is probable at most.
+    is_worse = better.passed
     refinement = answer.refinement
     holdout = compare_holdout_errors(judged.base, judged.base)
-    # Records that took no part speak against the model, and so against its names; where something acts, and of what, is probable at most.
-    claims = [c for c in answer.claims if c.depth <= Depth.VARIABLES] if is_worse else []
+    claims = [c for c in answer.weighed if c.depth <= Depth.VARIABLES] if is_worse else []
     judged = replace(judged, selected=judged.baseline, rivals=(), best=judged.base, holdout=holdout)
     return replace(
         answer,
         judged=judged,
         final=FinalModel(judged.scores, judged.baseline, judged.base),
-        decided=replace(_decide(judged), checks=checks),
-        claims=tuple(c if c.depth is Depth.MISSING else lower_grade(c) for c in claims),
+        rest=_judge_rest(judged),
+        weighed=tuple(claims),
+        grounds=replace(answer.grounds, is_contradicted=is_worse),
         rates=(),
         signals=(),
         refinement=None if refinement is None else Refinement(judged.base, (), refinement.checks),
+        checks=(*answer.decided.checks, *checks),
         rejected=names,
-        is_worse=is_worse,
     )
 
 
 def _fit_stand_in(answer: SearchAnswer, test: ValidationSet) -> Surrogate | None:
     """A curve in the place of what has no name: not where a probable effect is said, nor where the plain model does as well."""
-    if answer.verdict is not Verdict.UNKNOWN or answer.is_probable:
+    if not answer.is_nameless:
         return None
     judged, problem = answer.judged, answer.problem
     represent = partial(
@@ -386,7 +394,7 @@ def _describe(
     findings = answer.findings
     if surrogate is not None and surrogate.finished is not None:
         findings = (*findings, *_word_on(surrogate.finished))
-    if judged.corrected is not selected and verdict is not Verdict.UNKNOWN and final.candidate is selected:
+    if judged.corrected is not selected and answer.has_certain_name and final.candidate is selected:
         added = [name for name in judged.corrected.effects if name not in selected.effects]
         values = {"correction": added}
         findings = (*findings, Finding(DiscoveryCode.SHAPE_CORRECTED, subject=_name(selected), values=values))
@@ -397,7 +405,7 @@ def _describe(
     is_tied = verdict is Verdict.AMBIGUOUS or (laws and not all(claim.is_established for claim in answer.names))
     if is_tied and not alternatives:
         alternatives = list_tied_sets(answer.claims, list_named_effects(judged))
-    decided = replace(answer.decided, verdict=Verdict.PARTLY) if answer.is_deeper else answer.decided
+    decided = answer.decided
     constants = {e.name: sum(not q.fixed for q in e.parameters) for e in candidates}
     summary = summarise(
         judged,
@@ -408,7 +416,7 @@ def _describe(
         answer.location,
         surrogate,
         answer.rejected,
-        answer.is_worse,
+        answer.grounds.is_contradicted,
         constants,
     )
     if answer.terms and not laws and verdict is not Verdict.COMPLETE:
@@ -426,7 +434,7 @@ def _describe(
         ranking,
         answer.location,
         conclusion=summary,
-        checks=(*judged.checks, *decided.checks),
+        checks=(*judged.checks, *decided.checks, *answer.checks),
         path=tuple(selection.steps),
         findings=(*findings, *experiments, *limits),
         next_steps=next_steps,
@@ -468,20 +476,20 @@ def _write_sets(fitted: Sequence[FittedCandidate], sets: Sequence[tuple[str, ...
     return written
 
 
-def _decide(judged: JudgedSelection) -> Conclusion:
+def _judge_rest(judged: JudgedSelection) -> Decision:
+    """Whether the selected model leaves only noise."""
     policy, corrected = judged.selection.policy.selection, judged.corrected
     autocorrelation = excess_autocorrelation(corrected, AUTOCORRELATION_LAGS) if corrected.effects else 0.0
-    decided = decide_verdict(
+    rest = judge_rest(
         judged.baseline,
         corrected,
-        judged.rivals,
         judged.holdout,
         judged.noise_limits,
         autocorrelation,
         policy,
     )
     ties = judged.selection.tie_checks(judged.selected, judged.rivals)
-    return replace(decided, checks=(*decided.checks, *ties))
+    return replace(rest, checks=(*rest.checks, *ties))
 
 
 def _may_hold_more(judged: JudgedSelection) -> bool:
@@ -525,59 +533,56 @@ def _estimate_signals(final: FinalModel) -> tuple[EffectSignal, ...]:
 
 def _locate(candidate: FittedCandidate, selection: StepwiseSelection) -> ResidualLocalisation:
     """What a candidate leaves unexplained; the misfit alone where its site cannot be estimated."""
-    policy = selection.policy
-    locate = partial(localise_residual, candidate, selection=policy.selection)
+    locate = partial(localise_residual, candidate)
     located = selection.problem.failures.attempt(SearchStage.LOCALISATION, candidate.effects, locate, None)
     return located or ResidualLocalisation.without_sites(candidate)
 
 
-def _weigh(
-    judged: JudgedSelection, rivals: RivalSearch, location: ResidualLocalisation
-) -> tuple[tuple[Claim, ...], tuple[FalseNameRate, ...]]:
-    """What resampling the records says of all sets of effects that were fitted: the search's own, and every rival of the answer.
+def _weigh(answer: SearchAnswer, candidates: Sequence[Effect]) -> SearchAnswer:
+    """The answer with what resampling the records says of all sets of effects that were fitted: the search's own, and every rival of it.
 
-    With it, how often signals without meaning would have been established in the place of the answer's effects.
+    With it, how often signals without meaning would have been established in the place of its effects.
     """
-    selection, answer = judged.selection, rivals.selected
-    table, attempt = judged.table, selection.problem.failures.attempt
+    judged, chosen = answer.judged, answer.final.candidate
+    selection, table, attempt = judged.selection, judged.table, answer.problem.failures.attempt
+    known = selection.fits if answer.refinement is None or not answer.refinement.steps else {}
+    rivals = RivalSearch(
+        answer.final.scores.problem, selection.scales, candidates, chosen, selection.baseline, known, answer.signals
+    )
+    terms = {name for name in chosen.effects if is_law(name)}
+    claimed = dict(zip(chosen.effects, chosen.names, strict=True))
+    without = attempt(SearchStage.EVIDENCE, chosen.effects, partial(refit_rivals, rivals), None)
+    grounds = Grounds(chosen.names, {claimed[name] for name in terms}, has_rivals=without is not None)
 
-    def weigh() -> tuple[Claim, ...]:
-        table.add(selection.baseline, answer, *selection.problem.fitted)
-        draws = table.draw(table.leading((selection.baseline, answer)))
+    def weigh() -> SearchAnswer:
+        table.add(selection.baseline, chosen, *answer.problem.fitted)
+        draws = table.draw(table.leading((selection.baseline, chosen)))
         if not draws.sets:
-            return ()
-        leading = draws.sets[draws.leading].candidate
+            return answer
+        leading = draws.sets[Weights.of(draws).leading].candidate
         left = measure_structure(table.scores, leading, only_visible=True)
-        claims = weigh_claims(draws, location.sets, leading.given, left)
-        # The certain answer is the model that is handed over: a name that it does not hold is no more than probable.
-        return tuple(lower_grade(c) if c.name and c.name not in answer.names else c for c in claims)
+        weighed = weigh_claims(draws, answer.location.sets, leading.given, left)
+        return replace(answer, weighed=weighed, grounds=grounds)
 
-    fit_rivals = partial(refit_rivals, rivals)
-    without = attempt(SearchStage.EVIDENCE, answer.effects, fit_rivals, None)
-    claims = weigh()
-    if without is None:  # a name that was held against no rival is not certain; the place may be
-        return tuple(lower_grade(c) if c.name else c for c in claims), ()
-    claimed = dict(zip(answer.effects, answer.names, strict=True))
-    made = {name: name_claim(claims, claimed[name]) for name in without}
+    weighed = weigh()
+    if without is None:
+        return weighed
     standing = [
         rest
         for name, rest in without.items()
         # Of a law dozens of other formulas were tried: one that is established leaves hardly anything for a curve to add.
-        if (c := made[name]) is not None and c.is_established and not is_law(name)
+        if name not in terms and (c := name_claim(weighed.claims, claimed[name])) is not None and c.is_established
     ]
     for rest in standing:
         refit_curves_in_place(rivals, rest)
-    claims = weigh() if standing else claims
-    taking_part = table.leading((selection.baseline, answer))
+    weighed = weigh() if standing else weighed
+    taking_part = table.leading((selection.baseline, chosen))
     # Of equations there are more candidates than signals take part.
-    tried = len(rivals.candidates) + MOST_SIGNALS * any(map(is_law, answer.effects))
-    contests = ContestTable(table, taking_part, answer, location.sets, tried)
-    rates = measure_false_names(contests, without, rivals.signals, claims)
-    claims = lower_common(claims, rates, answer.model)
-    # The terms of a law are one equation, and none is certain where another is not: what the one has too much the other takes back.
-    terms = {claimed[name] for name in answer.effects if is_law(name)}
-    is_certain = all((c := name_claim(claims, term)) is not None and c.is_established for term in terms)
-    return (claims if is_certain else tuple(lower_grade(c) if c.name in terms else c for c in claims)), rates
+    contests = ContestTable(
+        table, taking_part, chosen, answer.location.sets, len(candidates) + MOST_SIGNALS * bool(terms)
+    )
+    rates = measure_false_names(contests, without, answer.signals, weighed.claims)
+    return replace(weighed, rates=rates, grounds=replace(grounds, nonsense=list_nonsense_sites(rates, chosen.model)))
 
 
 def _finish(judged: JudgedSelection, fit: Fit) -> tuple[Fit, tuple[Finding, ...]]:
@@ -678,7 +683,7 @@ def _list_next_steps(
     """What to do next, by what is open; ``location`` is that of what the answer leaves."""
     judged, verdict = answer.judged, answer.verdict
     steps: tuple[Finding, ...] = ()
-    if verdict is Verdict.UNKNOWN and not answer.is_probable:
+    if answer.is_nameless:
         steps = _propose_for_unknown(judged, answer.location, surrogate)
     elif verdict in (Verdict.PARTLY, Verdict.UNKNOWN) or (verdict is Verdict.AMBIGUOUS and not judged.rivals):
         refined = bool(answer.refinement and answer.refinement.steps) and not test

@@ -7,7 +7,7 @@ fitted or simulated here.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -181,23 +181,20 @@ def judge_validation_only(
 EXCESS_AUTOCORRELATION = 0.03
 
 
-def decide_verdict(
+def judge_rest(
     baseline: FittedCandidate,
     selected: FittedCandidate,
-    rivals: Sequence[FittedCandidate],
     holdout: Mapping[str, HoldoutError],
     noise_limits: Mapping[str, float],
     autocorrelation: float,
     policy: SelectionPolicy,
-) -> Conclusion:
-    """What may be said: this is where it is decided whether an effect may be named.
+) -> Decision:
+    """Whether a model leaves only noise, on the records that were fitted and on those that judge it.
 
     Parameters
     ----------
     baseline, selected
         The plain model and the one that the selection ended with, its shape corrected where the records asked for that.
-    rivals
-        Models of the same size that explain the records equally well.
     holdout
         Error of both on the validation records, by output.
     noise_limits
@@ -211,8 +208,7 @@ def decide_verdict(
         limit = clean_cost_limit(baseline.count)
         above = make_check(DiscoveryRule.BASELINE_ABOVE_NOISE, baseline.per_sample, limit, baseline.per_sample > limit)
         elsewhere = judge_validation_only(baseline, holdout, noise_limits)
-        verdict = Verdict.UNKNOWN if above or elsewhere else Verdict.COMPLETE
-        return Conclusion(verdict, (above, *elsewhere.checks))
+        return Decision(not (above or elsewhere), (above, *elsewhere.checks))
     subject = " + ".join(selected.effects)
     clean = judge_residual(baseline, selected)
     white = make_check(
@@ -223,7 +219,4 @@ def decide_verdict(
         subject,
     )
     explained = judge_holdout(holdout, noise_limits, policy)
-    checks = (*clean.checks, white, *explained.checks)
-    if not (clean and white and explained):
-        return Conclusion(Verdict.UNKNOWN, checks)
-    return Conclusion(Verdict.AMBIGUOUS if rivals else Verdict.NAMED, checks)
+    return Decision(bool(clean and white and explained), (*clean.checks, white, *explained.checks))

@@ -30,8 +30,8 @@ from greybox.discovery.claims import (
     LEAST_SHARE,
     Claim,
     Depth,
+    Weights,
     describe_effect,
-    lower_grade,
     name_claim,
     weigh_claim,
     weigh_claims,
@@ -187,19 +187,14 @@ def measure_false_names(
     return tuple(rate for rate in rates if rate is not None)
 
 
-def lower_common(claims: Sequence[Claim], rates: Sequence[FalseNameRate], model: Model) -> tuple[Claim, ...]:
-    """The claims with those that nonsense would earn as well: they are no more than probable.
+def list_nonsense_sites(rates: Sequence[FalseNameRate], model: Model) -> frozenset[str]:
+    """Labels of the sites at which nonsense would earn an effect's claims as well.
 
     An established claim may be wrong in one case of four. Where signals without meaning are established more often than that, being
-    established says nothing here: neither of the name, nor of the family and the variables, which a signal over time has not. What acts
-    there is as certain as before where it acts.
+    established says nothing there: neither of the name, nor of the family and the variables, which a signal over time has not.
     """
-    sites = set()
-    for rate in rates:
-        if rate.is_common:
-            bound = next(b for b in model.bound_effects if b.effect.name == rate.effect)
-            sites.add(describe_effect(model, bound).site)
-    return tuple(lower_grade(c) if c.depth >= Depth.VARIABLES and sites & set(c.sites) else c for c in claims)
+    common = {rate.effect for rate in rates if rate.is_common}
+    return frozenset(describe_effect(model, b).site for b in model.bound_effects if b.effect.name in common)
 
 
 def _deepest_claim(model: Model, signal: EffectSignal, claims: Sequence[Claim]) -> Depth | None:
@@ -246,7 +241,7 @@ def _hold_contests(
             if sums is None:
                 continue
             draws = draw_sets([*sets, FittedSet(fit, sums)])
-            leading = draws.sets[draws.leading].candidate
+            leading = draws.sets[Weights.of(draws).leading].candidate
             left = measure_structure(scores if leading is fit else table.scores, leading, only_visible=True)
             named = name_claim(weigh_claims(draws, contests.alike_sites, fit.given, left), MEANINGLESS)
             # Its name is its family and its variable as well: the same sets win, and the map of that depth says what that is worth.

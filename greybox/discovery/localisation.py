@@ -26,7 +26,6 @@ from greybox.discovery.disturbance_sites import (
     unwhitened_shooting,
     whiten_columns,
 )
-from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate, clean_cost_limit
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
@@ -316,11 +315,7 @@ LOCALISATION_MOST_ROWS = 1200
 LOCALISATION_WINDOWS = 20
 
 
-def localise_residual(
-    fit: Fit | FittedCandidate,
-    *,
-    selection: SelectionPolicy | None = None,
-) -> ResidualLocalisation:
+def localise_residual(fit: Fit | FittedCandidate) -> ResidualLocalisation:
     """Where, when and as a function of what ``fit`` leaves something unexplained.
 
     At each balance, input and sensor in turn an unknown slowly varying signal is estimated in the stretch where the misfit varies
@@ -331,8 +326,6 @@ def localise_residual(
     ----------
     fit
         A finished fit, or a candidate of a discovery.
-    selection
-        From which misfit something is missing.
 
     Returns
     -------
@@ -347,7 +340,6 @@ def localise_residual(
     """
     fit.model.require_equations("a localisation of the residual")
     candidate = to_candidate_fit(fit) if isinstance(fit, Fit) else fit
-    selection = selection or SelectionPolicy()
     residuals = normalised_residuals(candidate)
     experiments = candidate.problem.experiments
     alone = ResidualLocalisation.without_sites(candidate)

@@ -241,7 +241,7 @@ def discover(
             given=tuple(effect.name for effect in model.effects),
             user_settings=FitSettings(dict(noise or {}), _as_tuple(quiet), options),
         )
-        scales = _estimate_scales(problem, policy)
+        scales = _estimate_scales(problem)
         given = (
             effects
             if not beside or (laws and effects is not None and not effects)
@@ -290,11 +290,10 @@ def discover(
         )
 
 
-def _estimate_scales(problem: DiscoveryProblem, policy: DiscoveryPolicy) -> Scales:
+def _estimate_scales(problem: DiscoveryProblem) -> Scales:
     """Peaks and times of the plain model, and the distances after which what it leaves repeats."""
     plain = problem.baseline
-    locate = partial(localise_residual, plain, selection=policy.selection)
-    located = problem.failures.attempt(SearchStage.LOCALISATION, (), locate, None)
+    located = problem.failures.attempt(SearchStage.LOCALISATION, (), partial(localise_residual, plain), None)
     dependences = located.dependences if located else ()
     periods = {d.variable: d.period for d in dependences if d.period and d.is_relevant}
     return estimate_scales(plain).with_periods(plain.model, periods)

@@ -19,7 +19,6 @@ from greybox.discovery.candidates import family_of
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.localisation import localise_residual
-from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.discovery.residual_noise import (
     has_memory,
@@ -51,8 +50,6 @@ class RivalSearch:
         Fits of other sets of effects.
     signals
         The signal of each effect of the answer, from the data and from the model.
-    policy
-        The decision numbers.
     """
 
     problem: DiscoveryProblem
@@ -62,7 +59,6 @@ class RivalSearch:
     baseline: FittedCandidate
     known: Mapping[frozenset[str], FittedCandidate]
     signals: Sequence[EffectSignal]
-    policy: DiscoveryPolicy
 
     def attempt(self, run: partial[FittedCandidate | None]) -> FittedCandidate | None:
         """A refit; None where it fails, with the reason kept."""
@@ -96,8 +92,7 @@ def refit_curves_in_place(search: RivalSearch, rest: FittedCandidate) -> None:
     """
 
     def refit() -> None:
-        location = localise_residual(rest, selection=search.policy.selection)
-        refit_free_curves(search.problem, rest, location, search.policy, search.selected.cost)
+        refit_free_curves(search.problem, rest, localise_residual(rest), search.selected.cost)
 
     search.problem.failures.attempt(SearchStage.EVIDENCE, rest.effects, refit, None)
 

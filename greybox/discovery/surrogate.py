@@ -212,9 +212,9 @@ def fit_surrogate(
     for candidate in (baseline, look_alike) if helps else (baseline,):
         if best is not None and best.explained_fraction >= policy.selection.holdout_share:
             break
-        location = localise_residual(candidate, selection=policy.selection)
+        location = localise_residual(candidate)
         given = (problem, candidate, location, validation, base)
-        surrogate = fit_tone_surrogate(*given) or fit_curve_surrogate(*given, policy)
+        surrogate = fit_tone_surrogate(*given) or fit_curve_surrogate(*given)
         if surrogate is None or (helps and surrogate.explained_fraction < explained):
             continue
         if best is None or surrogate.explained_fraction > best.explained_fraction + BESIDE_GAIN:
@@ -235,7 +235,6 @@ def fit_curve_surrogate(
     location: ResidualLocalisation,
     validation: ValidationSet | Sequence[Experiment],
     base: Fit,
-    policy: DiscoveryPolicy,
 ) -> Surrogate | None:
     """The curve for what ``candidate`` leaves unexplained.
 
@@ -243,7 +242,7 @@ def fit_curve_surrogate(
     static curves are usual; what explains the records best by Schwarz's criterion stays. None where the model cannot be simulated, or
     where the curve explains nothing worth mentioning on the validation records. ``base`` is the plain model validated on them.
     """
-    places = [*_localised_places(candidate, location), *_usual_places(problem, candidate, location, policy)]
+    places = [*_localised_places(candidate, location), *_usual_places(problem, candidate, location)]
     limits = (SURROGATE_REFIT_STARTS, SURROGATE_REFIT_ITERATIONS)
     refits = [
         (place, problem.refit_best(*_prepare_curve(problem, candidate, place), *limits, like=candidate))
@@ -293,7 +292,7 @@ def _localised_places(candidate: FittedCandidate, location: ResidualLocalisation
 
 
 def _usual_places(
-    problem: DiscoveryProblem, candidate: FittedCandidate, location: ResidualLocalisation, policy: DiscoveryPolicy
+    problem: DiscoveryProblem, candidate: FittedCandidate, location: ResidualLocalisation
 ) -> list[CurvePlace]:
     """The places that promise most of those where static curves are usual: an input over itself, a sensor over what it shows, a body.
 
@@ -342,7 +341,6 @@ def refit_free_curves(
     problem: DiscoveryProblem,
     candidate: FittedCandidate,
     location: ResidualLocalisation,
-    policy: DiscoveryPolicy,
     enough: float = math.inf,
 ) -> list[FittedCandidate]:
     """``candidate`` with a smooth curve at each of the likeliest sites of what it leaves, over the likeliest variables and over time.

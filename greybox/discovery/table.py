@@ -131,7 +131,7 @@ class Draws:
     errors
         Out-of-bag error of each set in each resample, all outputs together (R, S): the logarithm of the rms over what the best leaves.
     good
-        Which sets are within one standard error of the best of the resample (R, S).
+        Which sets are within `GOOD_DEVIATIONS` of the best of the resample, or of its form (R, S).
     winner
         The simplest good one (R,).
     """
@@ -140,11 +140,6 @@ class Draws:
     errors: np.ndarray
     good: np.ndarray
     winner: np.ndarray
-
-    @property
-    def leading(self) -> int:
-        """The number of the set that won most often."""
-        return int(np.bincount(self.winner, minlength=len(self.sets)).argmax())
 
 
 SetKey = frozenset[tuple[str, str, str]]

@@ -13,11 +13,12 @@ from greybox.discovery.claims import (
     Claim,
     Depth,
     EffectForm,
+    Grounds,
     Weights,
     deepest_established,
     describe_effect,
+    grade_claims,
     list_tied_sets,
-    lower_grade,
     name_claim,
     place_within_sensor_class,
     read_certainty,
@@ -28,7 +29,7 @@ from greybox.discovery.claims import (
     to_probability,
     weigh_claims,
 )
-from greybox.discovery.decision import Conclusion, Grade, Verdict
+from greybox.discovery.decision import Decision, Grade, Verdict
 from greybox.discovery.surrogate_effects import CURVE, LINEAR_DYNAMICS, make_linear_path
 from greybox.discovery.table import BlockSums, Draws, FittedSet
 from models.micro_actuator import micro_actuator
@@ -191,7 +192,7 @@ def test_a_place_that_may_be_a_sensor_is_not_established_by_what_a_sensor_may_be
     # A place in the plant is no sensor: neither doubted for one nor said to be one, whatever else made it no more than probable.
     in_plant = claims_at(10_000.0, "coulomb_friction", "quadratic_damping", alike=())
     assert place(in_plant).is_established
-    assert place_within_sensor_class([lower_grade(c) for c in in_plant]) is None
+    assert place_within_sensor_class(grade_claims(in_plant, Grounds(is_cut=True))) is None
 
 
 def test_a_curve_beside_an_effect_supports_its_place_and_denies_its_name():
@@ -249,7 +250,15 @@ def test_grades_follow_the_probability():
 
 def claim(name="coulomb_friction", depth=Depth.NAME):
     return Claim(
-        depth, "x", ("balance force",), ("v",), name=name, probability=0.95, grade=Grade.ESTABLISHED, share=0.9
+        depth,
+        "x",
+        ("balance force",),
+        ("v",),
+        name=name,
+        probability=0.95,
+        grade=Grade.ESTABLISHED,
+        share=0.9,
+        size=1.0,
     )
 
 
@@ -264,43 +273,85 @@ def test_what_does_the_same_in_the_place_of_an_effect_is_its_equal():
     assert list_tied_sets(claims, ["coulomb_friction"]) == [("quadratic_damping",)]
 
 
-NAMED = Conclusion(Verdict.NAMED, ())
+ONLY_NOISE, MORE = Decision(True, ()), Decision(False, ())
 
 
 @pytest.mark.parametrize(
-    ("decided", "first", "second", "expected"),
+    ("rest", "rivals", "first", "second", "expected"),
     [
-        (Verdict.NAMED, {}, {}, Verdict.NAMED),
-        (Verdict.NAMED, {}, {"probability": 0.6}, Verdict.PARTLY),
-        (Verdict.NAMED, {"probability": 0.6}, {"probability": 0.6}, Verdict.UNKNOWN),
-        (Verdict.NAMED, {}, {"probability": 0.6, "equals": ("other",), "joint": 0.9}, Verdict.AMBIGUOUS),
-        (Verdict.UNKNOWN, {}, {"probability": 0.1}, Verdict.PARTLY),
-        (Verdict.AMBIGUOUS, {}, {"joint": 0.2}, Verdict.PARTLY),
-        (Verdict.AMBIGUOUS, {"probability": 0.6}, {"joint": 0.2, "probability": 0.2}, Verdict.UNKNOWN),
-        (Verdict.AMBIGUOUS, {"probability": 0.6}, {"probability": 0.6}, Verdict.AMBIGUOUS),
-        (Verdict.COMPLETE, {}, {}, Verdict.COMPLETE),
+        (ONLY_NOISE, (), {}, {}, Verdict.NAMED),
+        (ONLY_NOISE, (), {}, {"probability": 0.6}, Verdict.PARTLY),
+        (ONLY_NOISE, (), {"probability": 0.6}, {"probability": 0.6}, Verdict.UNKNOWN),
+        (ONLY_NOISE, (), {}, {"probability": 0.6, "equals": ("other",), "joint": 0.9}, Verdict.AMBIGUOUS),
+        (MORE, (), {}, {}, Verdict.PARTLY),
+        (MORE, (), {}, {"probability": 0.1}, Verdict.PARTLY),
+        (ONLY_NOISE, [["c"]], {}, {"joint": 0.2}, Verdict.PARTLY),
+        (ONLY_NOISE, [["c"]], {"probability": 0.6}, {"joint": 0.2, "probability": 0.2}, Verdict.UNKNOWN),
+        (ONLY_NOISE, [["c"]], {"probability": 0.6}, {"probability": 0.6}, Verdict.AMBIGUOUS),
     ],
 )
-def test_the_verdict_is_read_off_the_claims(decided, first, second, expected):
+def test_the_verdict_is_read_off_the_claims(rest, rivals, first, second, expected):
     claims = []
     for name, changes in (("a", first), ("b", second)):
-        values = {"probability": 0.95, "joint": 0.95, **changes}
-        claims.append(replace(claim(name), grade=to_grade(values["probability"]), **values))
-    assert read_verdict(Conclusion(decided, ()), claims, ["a", "b"]).verdict is expected
+        claims.append(replace(claim(name), **{"probability": 0.95, "joint": 0.95, **changes}))
+    assert read_verdict(rest, grade_claims(claims), ["a", "b"], rivals).verdict is expected
+
+
+def test_without_an_effect_the_verdict_says_how_deep_the_claims_go():
+    assert read_verdict(ONLY_NOISE, (), ()).verdict is Verdict.COMPLETE
+    assert read_verdict(MORE, (), ()).verdict is Verdict.UNKNOWN
+    for depth, expected in ((Depth.MISSING, Verdict.UNKNOWN), (Depth.PLACE, Verdict.PARTLY)):
+        assert read_verdict(MORE, [claim("", depth)], ()).verdict is expected
 
 
 def test_a_name_that_nobody_claims_is_not_certain():
-    read = read_verdict(NAMED, [claim("a")], ["a", "b"])
+    read = read_verdict(ONLY_NOISE, [claim("a")], ["a", "b"])
     assert read.verdict is Verdict.PARTLY
     assert [(c.subject, c.passed) for c in read.checks] == [("a", True), ("b", False)]
-    assert read_verdict(NAMED, [], ["a"]).verdict is Verdict.UNKNOWN
+    assert read_verdict(ONLY_NOISE, [], ["a"]).verdict is Verdict.UNKNOWN
 
 
 def test_of_rivals_that_the_records_cannot_separate_the_probabilities_add_up():
-    claims = [replace(claim(name), probability=p, joint=p, grade=to_grade(p)) for name, p in (("a", 0.4), ("b", 0.3))]
-    tie = Conclusion(Verdict.AMBIGUOUS, ())
-    assert read_verdict(tie, claims, ["a"], [["b"]]).verdict is Verdict.AMBIGUOUS
-    assert read_verdict(tie, claims, ["a"]).verdict is Verdict.UNKNOWN
+    claims = [replace(claim(name), probability=p, joint=p) for name, p in (("a", 0.4), ("b", 0.3))]
+    graded = grade_claims(claims)
+    assert read_verdict(ONLY_NOISE, graded, ["a"], [["b"]]).verdict is Verdict.AMBIGUOUS
+    assert read_verdict(ONLY_NOISE, graded, ["a"], [["c"]]).verdict is Verdict.UNKNOWN
+
+
+MISSING, PLACE, VARIABLES, NAME, OTHER = (
+    claim("", Depth.MISSING),
+    claim("", Depth.PLACE),
+    claim("", Depth.VARIABLES),
+    claim("a"),
+    claim("b"),
+)
+
+
+@pytest.mark.parametrize(
+    ("grounds", "established"),
+    [
+        (Grounds(), [MISSING, PLACE, VARIABLES, NAME, OTHER]),
+        (Grounds(names=("a",)), [MISSING, PLACE, VARIABLES, NAME]),  # the model that is handed over has no b
+        (Grounds(has_rivals=False), [MISSING, PLACE, VARIABLES]),
+        (Grounds(nonsense={"balance force"}), [MISSING, PLACE]),
+        (Grounds(nonsense={"input u"}), [MISSING, PLACE, VARIABLES, NAME, OTHER]),
+        (Grounds(is_contradicted=True), [MISSING]),
+        (Grounds(is_cut=True), []),
+        (Grounds(is_settled=False), []),
+        (Grounds(laws={"a", "b"}), [MISSING, PLACE, VARIABLES, NAME, OTHER]),
+        (
+            Grounds(names=("a",), laws={"a", "b"}),
+            [MISSING, PLACE, VARIABLES],
+        ),  # one term of a law is open, and so is the other
+    ],
+)
+def test_a_grade_rests_on_more_than_a_probability(grounds, established):
+    """One claim of each depth at the same place, each of the same probability."""
+    graded = grade_claims((MISSING, PLACE, VARIABLES, NAME, OTHER), grounds)
+    assert [c for c in graded if c.is_established] == established
+    assert all(c.grade in (Grade.ESTABLISHED, Grade.PROBABLE) for c in graded)
+    doubtful = replace(NAME, probability=0.1)
+    assert grade_claims([doubtful], grounds)[0].grade is Grade.STAND_IN
 
 
 def test_the_sum_within_a_formula_is_no_second_name_of_a_rival():

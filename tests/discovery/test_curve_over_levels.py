@@ -10,7 +10,6 @@ from greybox.base.figure import Curve
 from greybox.discovery.curve_shape import find_levels, find_period_of_curve
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
 from greybox.discovery.localisation import localise_residual
-from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.surrogate import SURROGATE_INTERVALS, fit_curve_surrogate
 from greybox.discovery.surrogate_effects import evaluate_curve, make_curve_effect
@@ -74,7 +73,7 @@ def surrogate_over(levels):
     base = gb.fit(model, train, validation=test, noise=noise)
     problem = DiscoveryProblem(model, (train,), noise, (), gb.FitOptions())
     location = localise_residual(problem.baseline)
-    return fit_curve_surrogate(problem, problem.baseline, location, (test,), base, DiscoveryPolicy())
+    return fit_curve_surrogate(problem, problem.baseline, location, (test,), base)
 
 
 def test_the_curve_of_an_input_of_four_levels_is_known_at_these():

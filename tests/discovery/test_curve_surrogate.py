@@ -30,7 +30,7 @@ def fit_surrogate(rig, effects, noise, rows):
     base = gb.fit(plain_model(rig), train, validation=test, noise=noise, options=AT_REST)
     problem = DiscoveryProblem(plain_model(rig), (train,), noise, (), AT_REST)
     location = localise_residual(problem.baseline)
-    surrogate = fit_curve_surrogate(problem, problem.baseline, location, (test,), base, POLICY)
+    surrogate = fit_curve_surrogate(problem, problem.baseline, location, (test,), base)
     return base, location, surrogate, test
 
 

@@ -6,11 +6,10 @@ import pytest
 
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.decision import (
-    Verdict,
-    decide_verdict,
     judge_effect,
     judge_holdout,
     judge_residual,
+    judge_rest,
     judge_validation_only,
     visible_rms_limit,
 )
@@ -135,26 +134,23 @@ NO_GAP, EXPLAINED, LEFT = (HoldoutError(*error, 1.0, "m") for error in ((1.0, 1.
 
 
 @pytest.mark.parametrize(
-    ("plain", "selected", "rivals", "error", "autocorrelation", "verdict"),
+    ("plain", "selected", "error", "autocorrelation", "passed"),
     [
-        (1000.0, (), 0, NO_GAP, 0.0, Verdict.COMPLETE),
-        (2000.0, (), 0, NO_GAP, 0.0, Verdict.UNKNOWN),  # something is left, and no effect explains it
-        (1000.0, (), 0, LEFT, 0.0, Verdict.UNKNOWN),  # it shows on the validation records only
-        (9000.0, (1010.0, "a"), 0, EXPLAINED, 0.0, Verdict.NAMED),
-        (9000.0, (1010.0, "a"), 1, EXPLAINED, 0.0, Verdict.AMBIGUOUS),
-        (9000.0, (2000.0, "a"), 0, EXPLAINED, 0.0, Verdict.UNKNOWN),  # not clean
-        (9000.0, (1010.0, "a"), 0, EXPLAINED, 0.04, Verdict.UNKNOWN),  # the residual has structure
-        (9000.0, (1010.0, "a"), 0, LEFT, 0.0, Verdict.UNKNOWN),  # not on other records
-        (9000.0, (2000.0, "a"), 2, LEFT, 0.04, Verdict.UNKNOWN),  # rivals of an unknown effect are no tie
+        (1000.0, (), NO_GAP, 0.0, True),
+        (2000.0, (), NO_GAP, 0.0, False),  # something is left, and no effect explains it
+        (1000.0, (), LEFT, 0.0, False),  # it shows on the validation records only
+        (9000.0, (1010.0, "a"), EXPLAINED, 0.0, True),
+        (9000.0, (2000.0, "a"), EXPLAINED, 0.0, False),  # not clean
+        (9000.0, (1010.0, "a"), EXPLAINED, 0.04, False),  # the residual has structure
+        (9000.0, (1010.0, "a"), LEFT, 0.0, False),  # not on other records
     ],
 )
-def test_a_name_is_given_only_if_everything_agrees(plain, selected, rivals, error, autocorrelation, verdict):
+def test_only_noise_is_left_if_everything_agrees(plain, selected, error, autocorrelation, passed):
     baseline = candidate(plain)
     final = candidate(selected[0], *selected[1:]) if selected else baseline
-    others = [candidate(1012.0, f"rival_{k}") for k in range(rivals)]
-    conclusion = decide_verdict(baseline, final, others, {"x": error}, LIMITS, autocorrelation, POLICY)
-    assert conclusion.verdict is verdict
-    assert conclusion.checks
+    decision = judge_rest(baseline, final, {"x": error}, LIMITS, autocorrelation, POLICY)
+    assert decision.passed is passed
+    assert decision.checks
 
 
 def test_a_stricter_policy_is_followed():

@@ -10,10 +10,9 @@ from scipy.stats import binom
 import greybox as gb
 from greybox.base.errors import FitError
 from greybox.discovery import false_names
-from greybox.discovery.claims import Claim, Depth
-from greybox.discovery.decision import Grade
+from greybox.discovery.claims import Depth
 from greybox.discovery.execution import SearchStage
-from greybox.discovery.false_names import FalseNameRate, lower_common
+from greybox.discovery.false_names import FalseNameRate, list_nonsense_sites
 from greybox.discovery.pipeline import discover
 from greybox.discovery.table import RIDGE
 from models.micro_actuator import micro_actuator
@@ -39,21 +38,10 @@ def test_nonsense_is_common_where_it_is_established_more_often_than_a_claim_may_
     assert [rate_of(k).is_common for k in (0, 5, 6)] == [False, False, True]
 
 
-def claims_at(site):
-    made = {"probability": 0.9, "grade": Grade.ESTABLISHED}
-    deep = {"variables": ("x",), "family": ("cubic_stiffness",), "name": "cubic_stiffness"}
-    return tuple(
-        Claim(depth, "x", (site,), **{k: v for k, v in deep.items() if depth >= Depth[k.upper()]}, **made)
-        for depth in (Depth.PLACE, Depth.VARIABLES, Depth.FAMILY, Depth.NAME)
-    )
-
-
-def test_only_the_place_stays_established_where_nonsense_is():
+def test_nonsense_speaks_against_the_site_where_it_is_common():
     model = plain_model(micro_actuator) + gb.effect("cubic_stiffness")
-    here, elsewhere = claims_at("balance force"), claims_at("input u")
-    lowered = lower_common((*here, *elsewhere), [rate_of(6)], model)
-    assert [c.is_established for c in lowered] == [True, False, False, False, True, True, True, True]
-    assert lower_common(here, [rate_of(5)], model) == here
+    assert list_nonsense_sites([rate_of(6)], model) == {"balance force"}
+    assert list_nonsense_sites([rate_of(5)], model) == frozenset()
 
 
 def signal_of(values):

@@ -11,7 +11,6 @@ from greybox.discovery import rivals
 from greybox.discovery.candidates import estimate_scales
 from greybox.discovery.decision import Grade
 from greybox.discovery.execution import FailureLog
-from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.rivals import RivalSearch
 from greybox.discovery.surrogate_effects import LINEAR_DYNAMICS
@@ -119,7 +118,7 @@ def rotor_search(*records):
     problem = DiscoveryProblem(model, records, {"w": 0.05}, (), gb.FitOptions(at_rest=True))
     plain = problem.baseline
     scales = estimate_scales(plain)
-    return problem, RivalSearch(problem, scales, (), plain, plain, {}, (), DiscoveryPolicy())
+    return problem, RivalSearch(problem, scales, (), plain, plain, {}, ())
 
 
 def test_in_a_loop_any_linear_path_from_its_input_is_a_rival():

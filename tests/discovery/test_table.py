@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.discovery.claims import Weights
 from greybox.discovery.holdout import HoldoutScores, ValidationSet
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.table import RIDGE, BlockSums, FitTable, FittedSet, _judge_draws, _keep_whole
@@ -128,7 +129,7 @@ def table():
 
 def test_the_effect_that_is_there_wins_when_records_are_drawn_again(table):
     draws = table.draw(table.leading(()))
-    assert draws.sets[draws.leading].candidate.effects == ("coulomb_friction",)
+    assert draws.sets[Weights.of(draws).leading].candidate.effects == ("coulomb_friction",)
     assert np.mean(draws.winner == draws.leading) > 0.95
     assert np.array_equal(draws.winner, table.draw(table.leading(())).winner)  # the same each time
 
