@@ -31,9 +31,10 @@ from greybox.discovery.decision import Conclusion, Decision, Grade, Verdict, mak
 from greybox.discovery.disturbance_sites import SiteKind, list_disturbance_sites, site_label
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.laws.terms import claimed_name
-from greybox.discovery.residual_noise import SECOND_BRANCH, has_memory
+from greybox.discovery.problem import FittedCandidate
+from greybox.discovery.residual_noise import SECOND_BRANCH, has_memory, is_shape_correction
 from greybox.discovery.surrogate_effects import CLOCK, CURVE, LINEAR_DYNAMICS, TONE
-from greybox.discovery.table import Draws, FittedSet
+from greybox.discovery.table import Draws, FittedSet, key_of
 from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import AT
@@ -257,6 +258,18 @@ class Weights:
     def share(self, holds: Sequence[bool]) -> float:
         """Share of the resamples won by sets of which something ``holds`` (S,)."""
         return float(self.totals @ np.array(holds, float))
+
+
+def find_winner(draws: Draws, answer: FittedCandidate) -> FittedCandidate:
+    """The set that won most often among those whose effects all have a name; the answer where none won more often than it.
+
+    A curve that wins says that no name is right: it takes no place, and leaves the names little weight.
+    """
+    totals = Weights.of(draws).totals if draws.sets else np.zeros(0)
+    won = {k: t for k, t in enumerate(totals) if not any(map(is_shape_correction, draws.sets[k].candidate.effects))}
+    own = max((t for k, t in won.items() if key_of(draws.sets[k].candidate) == key_of(answer)), default=0.0)
+    best = max(won, key=lambda k: won[k], default=None)
+    return answer if best is None or won[best] <= own else draws.sets[best].candidate
 
 
 def weigh_claims(

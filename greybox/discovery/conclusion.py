@@ -17,6 +17,7 @@ from greybox.discovery.claims import (
     Depth,
     Grounds,
     Weights,
+    find_winner,
     grade_claims,
     list_tied_sets,
     name_claim,
@@ -89,7 +90,7 @@ from greybox.discovery.rivals import RivalSearch, refit_curves_in_place, refit_r
 from greybox.discovery.selection import AUTOCORRELATION_LAGS, StepwiseSelection
 from greybox.discovery.summary import list_law_ranges, summarise, summarise_laws
 from greybox.discovery.surrogate import Surrogate, fit_surrogate
-from greybox.discovery.table import FitTable
+from greybox.discovery.table import Draws, FitTable
 from greybox.estimation import Fit
 from greybox.model import Effect
 
@@ -262,7 +263,8 @@ def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem, candidates: Sequen
         return answer
     judged, terms = looked
     with_law = replace(_weigh_answer(judged, candidates, further=False), terms=terms)
-    made = [name_claim(with_law.claims, claimed_name(e)) for e in list_added_effects(judged) if is_law(e.name)]
+    added = list_added_effects(with_law.judged)
+    made = [name_claim(with_law.claims, claimed_name(e)) for e in added if is_law(e.name)]
     is_probable = any(claim is not None and claim.grade is not Grade.STAND_IN for claim in made)
     # One of several that do the same may be said too, or no more than where it acts and of what; and a plain model that only was stuck
     # lacks nothing.
@@ -538,25 +540,32 @@ def _locate(candidate: FittedCandidate, selection: StepwiseSelection) -> Residua
     return located or ResidualLocalisation.without_sites(candidate)
 
 
+# How often a rival that wins takes the place of the answer, and is held against rivals of its own.
+MOST_HANDOVERS = 2
+
+
 def _weigh(answer: SearchAnswer, candidates: Sequence[Effect]) -> SearchAnswer:
     """The answer with what resampling the records says of all sets of effects that were fitted: the search's own, and every rival of it.
 
-    With it, how often signals without meaning would have been established in the place of its effects.
+    The set that wins is what is handed over: a rival that does better takes the place of the answer. With it, how often signals without
+    meaning would have been established in the place of its effects.
     """
-    judged, chosen = answer.judged, answer.final.candidate
-    selection, table, attempt = judged.selection, judged.table, answer.problem.failures.attempt
-    known = selection.fits if answer.refinement is None or not answer.refinement.steps else {}
-    rivals = RivalSearch(
-        answer.final.scores.problem, selection.scales, candidates, chosen, selection.baseline, known, answer.signals
-    )
+    table, baseline = answer.judged.table, answer.judged.baseline
+    for handover in range(MOST_HANDOVERS + 1):
+        rivals, chosen = _make_rivals(answer, candidates), answer.final.candidate
+        listing = partial(refit_rivals, rivals)
+        without = answer.problem.failures.attempt(SearchStage.EVIDENCE, chosen.effects, listing, None)
+        table.add(baseline, chosen, *answer.problem.fitted)
+        draws = table.draw(table.leading((baseline, chosen)))
+        winner = find_winner(draws, chosen)
+        if winner is chosen or handover == MOST_HANDOVERS or answer.problem.executor.is_late:
+            break
+        answer = _hand_over(answer, winner)
     terms = {name for name in chosen.effects if is_law(name)}
     claimed = dict(zip(chosen.effects, chosen.names, strict=True))
-    without = attempt(SearchStage.EVIDENCE, chosen.effects, partial(refit_rivals, rivals), None)
     grounds = Grounds(chosen.names, {claimed[name] for name in terms}, has_rivals=without is not None)
 
-    def weigh() -> SearchAnswer:
-        table.add(selection.baseline, chosen, *answer.problem.fitted)
-        draws = table.draw(table.leading((selection.baseline, chosen)))
+    def weigh(draws: Draws) -> SearchAnswer:
         if not draws.sets:
             return answer
         leading = draws.sets[Weights.of(draws).leading].candidate
@@ -564,7 +573,7 @@ def _weigh(answer: SearchAnswer, candidates: Sequence[Effect]) -> SearchAnswer:
         weighed = weigh_claims(draws, answer.location.sets, leading.given, left)
         return replace(answer, weighed=weighed, grounds=grounds)
 
-    weighed = weigh()
+    weighed = weigh(draws)
     if without is None:
         return weighed
     standing = [
@@ -575,14 +584,53 @@ def _weigh(answer: SearchAnswer, candidates: Sequence[Effect]) -> SearchAnswer:
     ]
     for rest in standing:
         refit_curves_in_place(rivals, rest)
-    weighed = weigh() if standing else weighed
-    taking_part = table.leading((selection.baseline, chosen))
+    table.add(*answer.problem.fitted)
+    taking_part = table.leading((baseline, chosen))
+    weighed = weigh(table.draw(taking_part)) if standing else weighed
     # Of equations there are more candidates than signals take part.
-    contests = ContestTable(
-        table, taking_part, chosen, answer.location.sets, len(candidates) + MOST_SIGNALS * bool(terms)
-    )
+    tried = len(candidates) + MOST_SIGNALS * bool(terms)
+    contests = ContestTable(table, taking_part, chosen, answer.location.sets, tried)
     rates = measure_false_names(contests, without, answer.signals, weighed.claims)
-    return replace(weighed, rates=rates, grounds=replace(grounds, nonsense=list_nonsense_sites(rates, chosen.model)))
+    nonsense = list_nonsense_sites(rates, chosen.model)
+    return replace(weighed, rates=rates, grounds=replace(grounds, nonsense=nonsense))
+
+
+def _make_rivals(answer: SearchAnswer, candidates: Sequence[Effect]) -> RivalSearch:
+    """What the rivals of an answer are fitted from."""
+    selection, final = answer.judged.selection, answer.final
+    known = selection.fits if answer.refinement is None or not answer.refinement.steps else {}
+    return RivalSearch(
+        final.scores.problem, selection.scales, candidates, final.candidate, selection.baseline, known, answer.signals
+    )
+
+
+def _hand_over(answer: SearchAnswer, winner: FittedCandidate) -> SearchAnswer:
+    """The answer with a rival in its place; as it was where that cannot be run over the records that judge."""
+    judged, scores, refinement = answer.judged, answer.final.scores, answer.refinement
+    problem = judged.selection.problem
+    # It may have been fitted under another noise.
+    outcome = problem.to_outcome(winner)
+    selected, candidate = (each.restore(winner.model, outcome) for each in (problem, scores.problem))
+    finish = partial(validate_candidate, scores.problem, candidate, scores.validation)
+    fit = problem.failures.attempt(SearchStage.HOLDOUT, winner.effects, finish, None) if winner.effects else judged.base
+    if fit is None:
+        return answer
+    judged = replace(
+        judged,
+        selected=selected if winner.effects else judged.baseline,
+        rivals=judged.selection.find_rivals(selected) if winner.effects else (),
+        best=fit,
+        holdout=compare_holdout_errors(judged.base, fit),
+    )
+    final = FinalModel(scores, candidate if winner.effects else judged.baseline, fit)
+    return replace(
+        answer,
+        judged=judged,
+        final=final,
+        rest=_judge_rest(judged),
+        signals=_estimate_signals(final),
+        refinement=None if refinement is None else Refinement(fit, (), refinement.checks),
+    )
 
 
 def _finish(judged: JudgedSelection, fit: Fit) -> tuple[Fit, tuple[Finding, ...]]:

@@ -145,7 +145,7 @@ class Draws:
 SetKey = frozenset[tuple[str, str, str]]
 
 
-def _key_of(candidate: FittedCandidate) -> SetKey:
+def key_of(candidate: FittedCandidate) -> SetKey:
     """What makes a set: names, places and equations of its effects; two curves have the same name."""
     added = [b for b in candidate.model.bound_effects if b.effect.name not in candidate.given]
     return frozenset((claimed_name(b.effect), b.site, b.effect.equation) for b in added)
@@ -180,9 +180,9 @@ class FitTable:
                 continue
             if [e.fingerprint for e in candidate.problem.experiments] != records:
                 continue
-            known = self._sets.get(_key_of(candidate))
+            known = self._sets.get(key_of(candidate))
             if known is None or candidate.noise_ratio < known.noise_ratio:
-                self._sets[_key_of(candidate)] = candidate
+                self._sets[key_of(candidate)] = candidate
 
     def get(self, effects: Iterable[str]) -> FittedCandidate | None:
         """The fit of one set of effects of the catalogue, if it is there."""
@@ -200,10 +200,10 @@ class FitTable:
         What an effect takes of the error is the difference from the set without it.
         """
         least = min((fit.noise_ratio for fit in self.candidates), default=0.0)
-        near = {_key_of(fit) for fit in self.candidates if fit.noise_ratio <= NEAR_RATIO * least}
-        near |= {_key_of(fit) for fit in always}
-        taking_part = [fit for fit in self.candidates if any(_key_of(fit) <= key for key in near)]
-        kept = {_key_of(fit) for fit in (*taking_part[:MOST_SETS], *always)}
+        near = {key_of(fit) for fit in self.candidates if fit.noise_ratio <= NEAR_RATIO * least}
+        near |= {key_of(fit) for fit in always}
+        taking_part = [fit for fit in self.candidates if any(key_of(fit) <= key for key in near)]
+        kept = {key_of(fit) for fit in (*taking_part[:MOST_SETS], *always)}
         return [fit for key, fit in self._sets.items() if key in kept]
 
     def sums(self, candidate: FittedCandidate) -> BlockSums | None:

@@ -17,6 +17,7 @@ from greybox.discovery.claims import (
     Weights,
     deepest_established,
     describe_effect,
+    find_winner,
     grade_claims,
     list_tied_sets,
     name_claim,
@@ -86,7 +87,7 @@ def fitted(*names, left=1.0, free=5, curve=False, reach=100.0):
         model = model + gb.effect(name)
     if curve:
         model = model + CURVE_EFFECT
-    candidate = SimpleNamespace(model=model, free=free, effects=tuple(e.name for e in model.effects), laws=())
+    candidate = SimpleNamespace(model=model, free=free, effects=tuple(e.name for e in model.effects), laws=(), given=())
     square = np.full((2, 2), left**2)
     none = np.zeros((2, 2, 0))
     judging, ranges = np.array([False, True]), np.full(2, reach)
@@ -193,6 +194,17 @@ def test_a_place_that_may_be_a_sensor_is_not_established_by_what_a_sensor_may_be
     in_plant = claims_at(10_000.0, "coulomb_friction", "quadratic_damping", alike=())
     assert place(in_plant).is_established
     assert place_within_sensor_class(grade_claims(in_plant, Grounds(is_cut=True))) is None
+
+
+def test_the_set_that_wins_most_often_is_the_answer_unless_a_curve_wins():
+    friction, damping, curve = fitted("coulomb_friction"), fitted("quadratic_damping"), fitted(curve=True)
+    table = draws((friction, 3), (damping, 5), (curve, 2), PLAIN)
+    assert find_winner(table, friction.candidate) is damping.candidate
+    assert find_winner(table, damping.candidate) is damping.candidate
+    # As often is not more often, and a curve says only that no name is right.
+    assert find_winner(draws((friction, 5), (damping, 5), PLAIN), damping.candidate) is damping.candidate
+    assert find_winner(draws((friction, 1), (curve, 9), PLAIN), friction.candidate) is friction.candidate
+    assert find_winner(draws((friction, 1), (fitted(left=20.0), 9)), friction.candidate).effects == ()
 
 
 def test_a_curve_beside_an_effect_supports_its_place_and_denies_its_name():
