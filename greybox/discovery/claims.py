@@ -261,15 +261,17 @@ class Weights:
 
 
 def find_winner(draws: Draws, answer: FittedCandidate) -> FittedCandidate:
-    """The set that won most often among those whose effects all have a name; the answer where none won more often than it.
+    """The set that won most often among those whose effects have names; the answer where none won more often than it.
 
-    A curve that wins says that no name is right: it takes no place, and leaves the names little weight.
+    A curve that wins says that no name is right: it takes no place, and leaves the names little weight. The plain model takes the place
+    of an answer that follows the records no better.
     """
     totals = Weights.of(draws).totals if draws.sets else np.zeros(0)
-    won = {k: t for k, t in enumerate(totals) if not any(map(is_shape_correction, draws.sets[k].candidate.effects))}
-    own = max((t for k, t in won.items() if key_of(draws.sets[k].candidate) == key_of(answer)), default=0.0)
+    sets = [s.candidate for s in draws.sets]
+    won = {k: totals[k] for k, c in enumerate(sets) if c.effects and not any(map(is_shape_correction, c.effects))}
+    present = max((t for k, t in won.items() if key_of(sets[k]) == key_of(answer)), default=0.0)
     best = max(won, key=lambda k: won[k], default=None)
-    return answer if best is None or won[best] <= own else draws.sets[best].candidate
+    return answer if best is None or won[best] <= present else sets[best]
 
 
 def weigh_claims(

@@ -30,6 +30,7 @@ from greybox.discovery.decision import (
     Grade,
     Verdict,
     judge_rest,
+    judge_test,
     make_check,
 )
 from greybox.discovery.effect_signal import (
@@ -226,6 +227,7 @@ def conclude(
     # A model that follows the records no better than the plain one is not handed over: to finish it may cost as much as the search.
     brief = _keep_if_better(answer, test)
     answer = _keep_if_better(_finish_answer(brief if brief.rejected else answer), test)
+    answer = _hold_against_test(answer, test)
     surrogate = _fit_stand_in(answer, test)
     return _describe(answer, candidates, surrogate, test)
 
@@ -311,7 +313,8 @@ def _finish_answer(answer: SearchAnswer) -> SearchAnswer:
     best, more = (base, ()) if judged.best is judged.base else _finish(judged, judged.best)
     judged = replace(judged, base=base, best=best, holdout=compare_holdout_errors(base, best))
     words = (*doubts, *more)
-    is_settled = not any(not word.values["is_late"] for word in words)
+    # A constant that wanders where it changes no error shakes nothing.
+    is_settled = not any(word.values["errors"] for word in words)
     return replace(
         answer,
         grounds=replace(answer.grounds, is_settled=is_settled),
@@ -354,6 +357,24 @@ def _keep_if_better(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
         checks=(*answer.decided.checks, *checks),
         rejected=names,
     )
+
+
+def _hold_against_test(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
+    """The answer whose model leaves only noise, unless it leaves more on the records that took no part: these contradict it."""
+    judged, problem = answer.judged, answer.problem
+    plain, best = (_run_on_test(problem, fit, test) for fit in (judged.base, judged.best))
+    if plain is None or best is None or not answer.rest:
+        return answer
+    errors = compare_holdout_errors(plain, best)
+    limits = judged.limit_noise(HoldoutScores(problem, test))
+    on_test = judge_test(errors, limits, judged.selection.policy.selection)
+    rest = Decision(on_test.passed, (*answer.rest.checks, *on_test.checks))
+    if on_test:
+        return replace(answer, rest=rest)
+    values = {"ratio": max(e.after / e.floor for e in errors.values())}
+    output = max(errors, key=lambda name: errors[name].after / errors[name].floor)
+    warning = Finding(DiscoveryCode.MISSING_ON_TEST, Severity.WARNING, output, values)
+    return replace(answer, rest=rest, findings=(warning, *answer.findings))
 
 
 def _fit_stand_in(answer: SearchAnswer, test: ValidationSet) -> Surrogate | None:
@@ -612,17 +633,12 @@ def _hand_over(answer: SearchAnswer, winner: FittedCandidate) -> SearchAnswer:
     outcome = problem.to_outcome(winner)
     selected, candidate = (each.restore(winner.model, outcome) for each in (problem, scores.problem))
     finish = partial(validate_candidate, scores.problem, candidate, scores.validation)
-    fit = problem.failures.attempt(SearchStage.HOLDOUT, winner.effects, finish, None) if winner.effects else judged.base
+    fit: Fit | None = problem.failures.attempt(SearchStage.HOLDOUT, winner.effects, finish, None)
     if fit is None:
         return answer
-    judged = replace(
-        judged,
-        selected=selected if winner.effects else judged.baseline,
-        rivals=judged.selection.find_rivals(selected) if winner.effects else (),
-        best=fit,
-        holdout=compare_holdout_errors(judged.base, fit),
-    )
-    final = FinalModel(scores, candidate if winner.effects else judged.baseline, fit)
+    rivals, holdout = judged.selection.find_rivals(selected), compare_holdout_errors(judged.base, fit)
+    judged = replace(judged, selected=selected, rivals=rivals, best=fit, holdout=holdout)
+    final = FinalModel(scores, candidate, fit)
     return replace(
         answer,
         judged=judged,

@@ -177,6 +177,18 @@ def judge_validation_only(
     return Decision(elsewhere.passed and any(above), (elsewhere, *above))
 
 
+def judge_test(
+    errors: Mapping[str, HoldoutError], noise_limits: Mapping[str, float], policy: SelectionPolicy
+) -> Decision:
+    """Whether a model leaves only noise on records that took no part, or explains enough of the gap there, in every output."""
+    checks = []
+    for output, error in errors.items():
+        ratio, limit = error.after / error.floor, noise_limits[output]
+        passed = ratio <= limit or error.explained_fraction >= policy.holdout_share
+        checks.append(make_check(DiscoveryRule.TEST_NOISE, ratio, limit, passed, output))
+    return Decision(all(check.passed for check in checks), tuple(checks))
+
+
 # Sum of squared autocorrelations of the whitened residual, beyond chance, above which it still holds structure.
 EXCESS_AUTOCORRELATION = 0.03
 

@@ -35,7 +35,7 @@ from greybox.discovery.disturbance_sites import (
 )
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.holdout import HoldoutError
-from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate, share_values
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
 
@@ -356,8 +356,7 @@ def _without_effect(problem: DiscoveryProblem, candidate: FittedCandidate, name:
     estimation = problem.prepare(model)
     names, kept = candidate.model.system.state_names, model.system.state_names
     guess = candidate.variables.initial.guess[:, [names.index(n) for n in kept]]
-    values = {n: v for n, v in candidate.model.values.items() if n in model.values}
-    variables = estimation.variables.start_at(values)
+    variables = estimation.variables.start_at(share_values(candidate.model, model))
     variables = replace(variables, initial=replace(variables.initial, guess=guess))
     return FittedCandidate(model, np.nan, candidate.count, variables.size, estimation, variables, candidate.evaluation)
 

@@ -181,12 +181,11 @@ def drop_effect(
     """
     policy = policy or DiscoveryPolicy()
     problem = DiscoveryProblem.from_fit(fit, policy.budget)
-    smaller = fit.model.without(name)
-    values = {n: value for n, value in fit.model.values.items() if n in smaller.values}
-    refit = problem.refit_best(smaller, [values], like=problem.to_candidate(fit))
+    larger = problem.to_candidate(fit)
+    refit = problem.refit_without(larger, name)
     if refit is None:
-        raise DataError(f"model {smaller.title!r} overflows with the parameters of {fit.model.title!r}")
-    return _compare(name, problem, refit, problem.to_candidate(fit), validation, policy)
+        raise DataError(f"model {fit.model.without(name).title!r} overflows with the parameters of {fit.model.title!r}")
+    return _compare(name, problem, refit, larger, validation, policy)
 
 
 def _compare(

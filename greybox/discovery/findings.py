@@ -29,6 +29,7 @@ class DiscoveryRule(StrEnum):
     VALIDATION_DECREASE = "validation_decrease"
     CONSISTENT_DECREASE = "consistent_decrease"
     TEST_INCREASE = "test_increase"
+    TEST_NOISE = "test_noise"
     REFINED_ERROR = "refined_error"
     ESTABLISHED = "established"
 
@@ -48,6 +49,7 @@ class DiscoveryCode(StrEnum):
     UNKNOWN_EFFECT = "unknown_effect"
     NO_LOOK_ALIKE = "no_look_alike"
     WORSE_ON_TEST = "worse_on_test"
+    MISSING_ON_TEST = "missing_on_test"
     NEAREST_LOOK_ALIKE = "nearest_look_alike"
     HARDLY_VISIBLE = "hardly_visible"
     WITHIN_SENSOR_CLASS = "within_sensor_class"

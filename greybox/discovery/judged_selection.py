@@ -9,7 +9,7 @@ from functools import cached_property
 
 from greybox.base import Check
 from greybox.discovery.decision import visible_rms_limit
-from greybox.discovery.holdout import HoldoutError, HoldoutScores, worst_output
+from greybox.discovery.holdout import VISIBLE_RMS, HoldoutError, HoldoutScores, worst_output
 from greybox.discovery.laws.terms import claimed_name
 from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.residual_noise import is_shape_correction
@@ -76,13 +76,22 @@ class JudgedSelection:
     @cached_property
     def noise_limits(self) -> dict[str, float]:
         """Rms over noise that noise and the uncertainty of the constants hardly ever exceed on the validation records, by output."""
-        colours = dict(zip((o.name for o in self.base.model.outputs), self.baseline.problem.noise.colour, strict=True))
-        drift = self.scores.measure_drift(self.corrected if self.selected.effects else self.baseline)
-        limits = {}
-        for name, error in self.holdout.items():
-            of_noise = visible_rms_limit(self.base.validation.misfit[name].samples, colours[name])
-            limits[name] = math.hypot(of_noise, math.sqrt(drift.get(name, 0.0)) / error.floor)
-        return limits
+        return self.limit_noise(self.scores)
+
+    def limit_noise(self, scores: HoldoutScores) -> dict[str, float]:
+        """The same on the records of ``scores``."""
+        candidate = self.corrected if self.selected.effects else self.baseline
+        run, drift, noise = scores.run(candidate), scores.measure_drift(candidate), self.baseline.problem.noise
+        if run is None:
+            return dict.fromkeys(self.holdout, VISIBLE_RMS)
+        colours = dict(zip(noise.outputs, noise.colour, strict=True))
+        return {
+            name: math.hypot(
+                visible_rms_limit(misfit.samples, colours[name]),
+                math.sqrt(drift.get(name, 0.0)) / self.base.noise.std[name],
+            )
+            for name, misfit in run.misfit.items()
+        }
 
 
 def list_added_effects(judged: JudgedSelection) -> list[Effect]:

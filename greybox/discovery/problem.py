@@ -365,6 +365,17 @@ class DiscoveryProblem:
         """One refit as `plan_refit` has it; None if the model cannot be simulated from any of its starts."""
         return self.refit_all([self.plan_refit(model, starts, *plan, **options)])[0]
 
+    def refit_without(
+        self, candidate: FittedCandidate, name: str, *plan: Any, **options: Any
+    ) -> FittedCandidate | None:
+        """A candidate without one of its effects, all else refitted from where it stands and from what its user gave; None where that
+        cannot be simulated. ``plan`` and ``options`` as in `plan_refit`.
+        """
+        model = candidate.model.without(name)
+        kept = share_values(candidate.model, model)
+        starts = (kept, kept | share_values(self.model, model))
+        return self.refit_best(model, starts, *plan, like=candidate, **options)
+
     def converge(self, candidate: FittedCandidate, iterations: int = SEARCH_REFIT_ITERATIONS) -> FittedCandidate:
         """A short refit carried on to convergence, with an integration step that is fine enough; itself where nothing is gained."""
         if candidate.key in self.settled:
@@ -456,6 +467,11 @@ class DiscoveryProblem:
             sorted(read_versions().items()),
         ]
         return hashlib.sha256(repr(identity).encode()).hexdigest()[:32]
+
+
+def share_values(fitted: Model, model: Model) -> dict[str, float]:
+    """The constants of ``fitted`` that ``model`` has too."""
+    return {n: value for n, value in fitted.values.items() if n in model.values}
 
 
 def _initial_states(candidate: FittedCandidate | None) -> dict[str, tuple[float, ...]]:

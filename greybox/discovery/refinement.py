@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -23,12 +22,12 @@ from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.candidates import estimate_scales, list_candidates
 from greybox.discovery.decision import make_check
 from greybox.discovery.effect_signal import EVIDENCE_BLOCKS
-from greybox.discovery.execution import RefitExecutor, RefitJournal, SearchStage
+from greybox.discovery.execution import RefitExecutor, RefitJournal
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import HoldoutScores, ValidationSet, compare_errors, validate_candidate
 from greybox.discovery.localisation import normalised_residuals
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import SEARCH_REFIT_ITERATIONS, DiscoveryProblem, FittedCandidate
+from greybox.discovery.problem import SEARCH_REFIT_ITERATIONS, DiscoveryProblem, FittedCandidate, share_values
 from greybox.discovery.residual_noise import is_shape_correction
 from greybox.discovery.selection import SCREENING_ITERATIONS, MessageCallback, list_extension_starts, rank_extensions
 from greybox.estimation.result import Fit
@@ -201,8 +200,7 @@ def refine_candidate(
     model = start.model
     for name in filter(is_shape_correction, [e.name for e in model.effects]):
         model = model.without(name)
-    values = {n: v for n, v in start.model.values.items() if n in model.values}
-    selected = problem.refit_best(model, [values], keep=1, like=start) or start
+    selected = problem.refit_best(model, [share_values(start.model, model)], keep=1, like=start) or start
     scales = estimate_scales(selected)
     misfit = scores.score(selected)
     if on_message:
@@ -247,7 +245,7 @@ def refine_candidate(
             on_message(str(steps[-1]))
         selected, misfit = best.candidate, best.validation_misfit
         for name in [n for n in selected.effects if n != best.name]:
-            rest = _refit_without(problem, selected, name)
+            rest = problem.refit_without(selected, name, 1)
             if rest is None:
                 continue
             without = scores.score(rest)
@@ -368,7 +366,7 @@ def _replace_each(
     policy: DiscoveryPolicy,
 ) -> list[FittedCandidate]:
     """``selected`` with one of its effects replaced by each of those whose predicted cost is lowest."""
-    rest = _refit_without(problem, selected, name)
+    rest = problem.refit_without(selected, name, 1)
     if rest is None:
         return []
     others = [e for e in candidates if e.name != name]
@@ -378,14 +376,6 @@ def _replace_each(
         for fit in _extend_each(problem, rest, others, scales, replace(policy, refinement=limits))
         if set(fit.effects) != set(selected.effects)
     ]
-
-
-def _refit_without(problem: DiscoveryProblem, selected: FittedCandidate, name: str) -> FittedCandidate | None:
-    """``selected`` without one of its effects; None where that cannot be fitted."""
-    model = selected.model.without(name)
-    values = {n: value for n, value in selected.model.values.items() if n in model.values}
-    refit = partial(problem.refit_best, model, [values], 1, like=selected)
-    return problem.failures.attempt(SearchStage.REFINEMENT, tuple(e.name for e in model.effects), refit, None)
 
 
 def with_residual_noise(problem: DiscoveryProblem, candidate: FittedCandidate) -> DiscoveryProblem:

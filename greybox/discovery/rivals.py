@@ -107,10 +107,7 @@ def _refit_without(search: RivalSearch, name: str) -> FittedCandidate | None:
     if len(selected.effects) == 1:
         return search.baseline
     known = search.known.get(frozenset(selected.effects) - {name})
-    model = selected.model.without(name)
-    values = {n: value for n, value in selected.model.values.items() if n in model.values}
-    iterations = RIVAL_ITERATIONS
-    again = search.attempt(partial(search.problem.refit_best, model, [values], 1, iterations, selected, refines=False))
+    again = search.attempt(partial(search.problem.refit_without, selected, name, 1, RIVAL_ITERATIONS, refines=False))
     if again is not None and _is_hopeful(search, again):
         again = search.problem.converge(again, RIVAL_ITERATIONS)
     return min((fit for fit in (known, again) if fit is not None), key=lambda fit: fit.cost, default=None)

@@ -28,6 +28,7 @@ from greybox.discovery.problem import (
     StartValues,
     clean_cost_limit,
     noise_cost_limit,
+    share_values,
 )
 from greybox.discovery.residual_noise import excess_autocorrelation, fit_shape_correction
 from greybox.model import Effect, Model
@@ -323,8 +324,8 @@ class StepwiseSelection:
 
     def _retest_baseline(self, extended: FittedCandidate) -> None:
         """The plain model once more, from the constants of the extended one: a baseline stuck in a wrong place is a false alarm."""
-        values = {name: value for name, value in extended.model.values.items() if name in self.baseline.model.values}
-        again = self.problem.refit_best(self.baseline.model, [values], keep=1)
+        plain = self.baseline.model
+        again = self.problem.refit_best(plain, [share_values(extended.model, plain)], keep=1)
         if again is not None and again.cost < self.baseline.cost:
             self.baseline = again
 
@@ -506,9 +507,7 @@ class StepwiseSelection:
         # It contains the smaller model: from where that ended, the effect absent, it cannot do worse.
         behind = [(key, job.model) for key, job in jobs if key not in self.fits or self.fits[key].cost > fit.cost]
         absent = [
-            self.problem.plan_refit(
-                model, [{n: v for n, v in fit.model.values.items() if n in model.values}], 1, like=fit, refines=False
-            )
+            self.problem.plan_refit(model, [share_values(fit.model, model)], 1, like=fit, refines=False)
             for _, model in behind
         ]
         self._keep_better([key for key, _ in behind], absent)
@@ -567,11 +566,8 @@ class StepwiseSelection:
         return better
 
     def _refit_without(self, fit: FittedCandidate, name: str) -> FittedCandidate | None:
-        model = fit.model.without(name)
-        values = {n: value for n, value in fit.model.values.items() if n in model.values}
-        starts = [values, {**values, **self.problem.model.values}]
         known = self.fits.get(frozenset(n for n in fit.effects if n != name))
-        refits = [f for f in (self.problem.refit_best(model, starts), known) if f is not None]
+        refits = [f for f in (self.problem.refit_without(fit, name), known) if f is not None]
         return min(refits, key=lambda f: f.cost, default=None)
 
     @property

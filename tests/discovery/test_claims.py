@@ -204,7 +204,7 @@ def test_the_set_that_wins_most_often_is_the_answer_unless_a_curve_wins():
     # As often is not more often, and a curve says only that no name is right.
     assert find_winner(draws((friction, 5), (damping, 5), PLAIN), damping.candidate) is damping.candidate
     assert find_winner(draws((friction, 1), (curve, 9), PLAIN), friction.candidate) is friction.candidate
-    assert find_winner(draws((friction, 1), (fitted(left=20.0), 9)), friction.candidate).effects == ()
+    assert find_winner(draws((friction, 1), (PLAIN[0], 9)), friction.candidate) is friction.candidate
 
 
 def test_a_curve_beside_an_effect_supports_its_place_and_denies_its_name():

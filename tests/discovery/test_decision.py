@@ -10,6 +10,7 @@ from greybox.discovery.decision import (
     judge_holdout,
     judge_residual,
     judge_rest,
+    judge_test,
     judge_validation_only,
     visible_rms_limit,
 )
@@ -107,6 +108,23 @@ def test_the_gap_on_validation_records_must_be_explained(before, after, passed, 
     assert result[Rule.HOLDOUT_GAP] is (before > 1.05)
     if reason is not None:
         assert result[reason]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "passed"),
+    [
+        (1.09, 1.09, True),
+        (129.0, 129.0, False),  # the plain model was complete, and here it is not
+        (10.0, 1.5, True),  # nine tenths of the gap
+        (10.0, 2.5, False),
+        (math.inf, math.inf, False),
+    ],
+)
+def test_test_records_contradict_that_only_noise_is_left(before, after, passed):
+    quiet = HoldoutError(1.0, 1.0, 1.0, "A")
+    decision = judge_test({"x": HoldoutError(before, after, 1.0, "m"), "i": quiet}, LIMITS, POLICY)
+    assert decision.passed is passed
+    assert [(c.subject, c.passed) for c in decision.checks] == [("x", passed), ("i", True)]
 
 
 def test_the_output_that_is_missed_most_decides():

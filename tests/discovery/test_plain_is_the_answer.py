@@ -1,6 +1,7 @@
 """What does no better than the plain model on the record that judges it is no answer: the plain model is."""
 
 from dataclasses import dataclass
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -155,6 +156,24 @@ def test_an_effect_of_the_estimation_record_alone_is_no_answer(monkeypatch):
     assert "sensor_drift" in tried.subject
     assert "takes" not in str(found).partition("candidate ")[0].replace("takes away", "")
     assert any("sensor_drift" in rank.effects for rank in found.ranking)  # what was tried is told
+
+
+def test_a_third_record_contradicts_that_only_noise_is_left():
+    """On the two days that the search knows nothing drifted, on the third something did."""
+    learnt, chosen = (lag_record(f"day {seed}", seed, lambda t: 0 * t) for seed in (1, 2))
+    search = partial(
+        gb.discover,
+        first_order().start(gain=1.5, lag=0.7),
+        learnt,
+        validation=chosen,
+        noise={"y": 0.02},
+        effects=[gb.effect("sensor_drift")],
+    )
+    verdicts = {}
+    for drift in (0.0, 0.03):
+        found = search(test=lag_record("third day", 3, lambda t: drift * t))  # noqa: B023
+        verdicts[drift] = found.verdict, len(with_code(found.findings, DiscoveryCode.MISSING_ON_TEST))
+    assert verdicts == {0.0: (Verdict.COMPLETE, 0), 0.03: (Verdict.UNKNOWN, 1)}
 
 
 def test_a_record_of_the_search_is_no_test_record():

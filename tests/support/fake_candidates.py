@@ -60,6 +60,9 @@ class FakeProblem:
     def refit_best(self, model: Model, starts: Iterable[object], *_: object, **__: object) -> FittedCandidate | None:
         return self._fit(model)
 
+    def refit_without(self, candidate: FittedCandidate, name: str, *_: object, **__: object) -> FittedCandidate | None:
+        return self.refit_best(candidate.model.without(name), [])
+
     def plan_refit(self, model: Model, starts: Iterable[object], *_: object, **__: object) -> RefitJob:
         return RefitJob(model, (), 1, 1)
 

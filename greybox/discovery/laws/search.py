@@ -15,7 +15,7 @@ from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import HoldoutScores
 from greybox.discovery.laws import screening
 from greybox.discovery.laws.terms import LAW, LawTerm, is_law, own_values
-from greybox.discovery.problem import DiscoveryProblem, FittedCandidate, clean_cost_limit
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate, clean_cost_limit, share_values
 from greybox.model.model import Model
 
 
@@ -106,7 +106,7 @@ def propose_laws(
     laws = search.finish_leading()
     if laws:
         # Once more from the constants of the best law: a model that is stuck elsewhere would make a law of nothing.
-        values = {n: v for n, v in laws[0].model.values.items() if n in beside.model.values}
+        values = share_values(laws[0].model, beside.model)
         beside = _better(problem.refit_best(beside.model, [values], 1, FINISH_ITERATIONS), beside)
     return LawProposal(beside, laws, search.tried)
 

@@ -624,6 +624,8 @@ register(
         DiscoveryCode.PLANT_RUNS: "{subject} was run {runs} times over a record",
         DiscoveryCode.REFIT_ELSEWHERE: _refit_elsewhere,
         DiscoveryCode.TEST_ERROR: _test_error,
+        DiscoveryCode.MISSING_ON_TEST: "the test records, which took no part in the search, contradict that only noise is left: the"
+        " error of {subject} there is {ratio:.3g} times the noise",
         DiscoveryCode.SHAPE_CORRECTED: lambda f: (
             f"the family of the effect is certain, but its shape differs from {f.subject}: {' + '.join(f.values['correction'])} corrects it"
         ),
@@ -767,6 +769,7 @@ register(
             "decrease over blocks of the validation records, in standard errors", ">="
         ),
         DiscoveryRule.TEST_INCREASE: _check("increase over blocks of the test records, in standard errors", "<"),
+        DiscoveryRule.TEST_NOISE: _check("error on the test records over noise", "<="),
         DiscoveryRule.REFINED_ERROR: _check("validation misfit, against the model with corrected shapes,", "<="),
         DiscoveryRule.ESTABLISHED: _check("established, with probability", ">="),
     }

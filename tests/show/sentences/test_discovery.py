@@ -224,6 +224,12 @@ FINDINGS = [
         "on the test records, which took no part in the search, the error of x is 315 mV",
     ),
     (
+        Code.MISSING_ON_TEST,
+        *("x", {"ratio": 129.4}),
+        "the test records, which took no part in the search, contradict that only noise is left: the error of x there is 129 times the"
+        " noise",
+    ),
+    (
         Code.SHAPE_CORRECTED,
         *("viscoelastic_creep", {"correction": ["viscoelastic_creep_second_branch"]}),
         "the family of the effect is certain, but its shape differs from viscoelastic_creep: viscoelastic_creep_second_branch"
@@ -559,6 +565,7 @@ CHECKS = {
     Rule.ESTIMATION_DECREASE: "backlash: share of the rms misfit removed 18.2 >= 20: no",
     Rule.VALIDATION_DECREASE: "backlash: validation misfit 18.2 <= 20: no",
     Rule.TEST_INCREASE: "backlash: increase over blocks of the test records, in standard errors 18.2 < 20: no",
+    Rule.TEST_NOISE: "backlash: error on the test records over noise 18.2 <= 20: no",
     Rule.CONSISTENT_DECREASE: "backlash: decrease over blocks of the validation records, in standard errors 18.2 >= 20: no",
     Rule.REFINED_ERROR: "backlash: validation misfit, against the model with corrected shapes, 18.2 <= 20: no",
     Rule.ESTABLISHED: "backlash: established, with probability 18.2 >= 20: no",
