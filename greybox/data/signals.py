@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -234,16 +233,3 @@ class SignalLimit:
             raise DataError(f"a limit from {self.low:g} to {self.high:g}: the low end must not lie above the high end")
         if not self.rate > 0:
             raise DataError(f"a rate of {self.rate:g} per second: give a number above 0")
-
-
-class InputKind(StrEnum):
-    """Inputs that could be applied instead of those of the record."""
-
-    FULL_SWEEP = "full_sweep"
-    SMALL_SWEEP = "small_sweep"
-    MULTISINE = "multisine"
-    STEPS = "steps"
-    SLOW_TRIANGLE = "slow_triangle"
-    SAME_INPUT = "same_input"
-    SAME_INPUT_SMALL = "same_input_small"
-    SAME_INPUT_DOUBLED = "same_input_doubled"

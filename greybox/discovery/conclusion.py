@@ -70,9 +70,9 @@ from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.discovery.proposals import (
     explain_doubt,
     list_detection_limits,
-    propose_experiments,
     propose_next_steps,
     propose_noise_check,
+    separate_ties,
 )
 from greybox.discovery.refinement import (
     REFINEMENT_LEAST_DEVIATIONS,
@@ -406,13 +406,10 @@ def _describe(
 ) -> Discovery:
     """The answer with what is left and where, what to do next, and its conclusion."""
     judged, final, verdict, problem = answer.judged, answer.final, answer.verdict, answer.problem
-    selection, selected, attempt = judged.selection, judged.selected, answer.problem.failures.attempt
+    selection, selected = judged.selection, judged.selected
     location = _locate(_under_less_noise(final), selection) if final.candidate.effects else answer.location
     left = measure_remaining_error(final.fit, judged.holdout, location, judged.scores.validation.uncounted)
     next_steps = _list_next_steps(answer, surrogate, location, test)
-    experiments = attempt(
-        SearchStage.PROPOSAL, selected.effects, partial(propose_experiments, problem, selected, judged.rivals), ()
-    )
     limits = list_detection_limits(selection.single_effects) if verdict is Verdict.COMPLETE else ()
     findings = answer.findings
     if surrogate is not None and surrogate.finished is not None:
@@ -459,7 +456,7 @@ def _describe(
         conclusion=summary,
         checks=(*judged.checks, *decided.checks, *answer.checks),
         path=tuple(selection.steps),
-        findings=(*findings, *experiments, *limits),
+        findings=(*findings, *limits),
         next_steps=next_steps,
         effect_signals=answer.signals,
         surrogate=surrogate,
@@ -752,9 +749,11 @@ def _list_next_steps(
     elif verdict in (Verdict.PARTLY, Verdict.UNKNOWN) or (verdict is Verdict.AMBIGUOUS and not judged.rivals):
         refined = bool(answer.refinement and answer.refinement.steps) and not test
         steps = _propose_for_part(judged, location, answer.names, refined)
+    elif verdict is Verdict.AMBIGUOUS:
+        steps = separate_ties(judged.selected.effects, [rival.effects for rival in judged.rivals])
     elif verdict is Verdict.COMPLETE:
         steps = propose_noise_check(judged.base)
-    if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) or not steps:
+    if list_added_effects(judged) and (verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) or not steps):
         steps = (*steps, Finding(DiscoveryCode.CONFIRM_ON_ANOTHER_RECORD))
     return steps
 

@@ -60,8 +60,6 @@ class SearchStage(StrEnum):
     """How often signals without meaning are established cannot be measured."""
     LAWS = "laws"
     """No equation can be looked for."""
-    PROPOSAL = "proposal"
-    """No experiment can be proposed."""
 
 
 @dataclass(frozen=True)

@@ -68,8 +68,6 @@ class DiscoveryCode(StrEnum):
     SHAPE_CORRECTED = "shape_corrected"
     REFIT_ELSEWHERE = "refit_elsewhere"
     TEST_ERROR = "test_error"
-    DISCRIMINATING_EXPERIMENT = "discriminating_experiment"
-    NO_DISCRIMINATING_EXPERIMENT = "no_discriminating_experiment"
     DETECTION_LIMIT = "detection_limit"
     SEEN_THROUGH_RESPONSE = "seen_through_response"
     NO_INPUT_RESPONSE = "no_input_response"

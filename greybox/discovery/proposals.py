@@ -4,173 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.base import TINY, Finding, Severity, decompose_symmetric, pseudo_inverse
+from greybox.base import Finding, Severity, decompose_symmetric, pseudo_inverse
 from greybox.data.experiment import Experiment
-from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
-from greybox.data.signals import InputKind, chirp, multisine
+from greybox.data.noise.noise_model import DETECTION_RATIO
 from greybox.discovery.claims import PLAIN, Claim, split_names
 from greybox.discovery.curve_shape import CurveShape, Dependence, ShapeKind
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import is_level_measured
 from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
+from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.residual_noise import INDEPENDENT_SOURCES
-from greybox.discovery.selection import TIE_COST
 from greybox.discovery.surrogate import Surrogate
 from greybox.estimation.findings import FAR_NOISE_RATIO
 from greybox.estimation.result import Fit
-from greybox.model.signals import Input
-from greybox.model.sites import DRIVE, VALVE
-from greybox.simulation.simulate import simulate
-
-# Which experiment would tell rivals apart: the one where the refitted rival stays farthest behind (T-optimality).
-#
-# For a chosen model A and a rival B, ``T = min over B's parameters of sum ((y_A - y_B) / noise)^2`` on a simulated experiment
-# (Atkinson, Fedorov 1975): the cost by which B would lose. The minimum is taken by one Gauss-Newton step from B's fitted
-# parameters. Below about ten the experiment shows nothing.
-#
-# `greybox.experiment_design` measures by T as well, but stands above this package: it begins with a discovery, adds the information
-# of earlier records and needs its gradient along the input. Here the inputs are few, the rival keeps its bounds, and a proposal costs a
-# few runs.
-
-
-NEW_COURSES = (
-    InputKind.FULL_SWEEP,
-    InputKind.SMALL_SWEEP,
-    InputKind.MULTISINE,
-    InputKind.STEPS,
-    InputKind.SLOW_TRIANGLE,
-)
-
-
-@dataclass(frozen=True)
-class DiscriminatingExperiment:
-    """An experiment, which outputs it needs, and the cost by which the rival would lose there."""
-
-    experiment: InputKind
-    measured: tuple[str, ...]
-    rival: tuple[str, ...]
-    cost: float
-
-
-def rank_discriminating_experiments(
-    problem: DiscoveryProblem, selected: FittedCandidate, rival: FittedCandidate
-) -> list[DiscriminatingExperiment]:
-    """Every candidate input with the present sensors, and with one more, best first."""
-    installed = tuple(problem.noise_std)
-    outputs = tuple(o.name for o in problem.model.outputs)
-    sensors = [installed] + [(*installed, name) for name in outputs if name not in installed]
-    experiments = []
-    for kind, inputs in candidate_inputs(problem.experiments[0], problem.model.inputs).items():
-        run = simulate(selected.model, inputs)
-        if run.overflow is not None:
-            continue
-        for measured in sensors:
-            cost = _cost_of_rival(problem, rival, run.record(), measured)
-            if np.isfinite(cost):
-                experiments.append(DiscriminatingExperiment(kind, measured, rival.effects, cost))
-    return sorted(experiments, key=lambda e: -e.cost)
-
-
-# Samples on which experiments are compared: enough to rank them.
-MOST_SAMPLES = 4000
-
-
-def candidate_inputs(record: Experiment, inputs: Sequence[Input]) -> dict[InputKind, Experiment]:
-    """Inputs that could be applied instead: a sweep, a multisine, steps, a slow ramp, the record's own at other amplitudes.
-
-    Each input moves within the range that it has in the record, and each in a course of its own. What nobody sets (an input with a
-    role other than that of a drive or valve, such as an ambient temperature) stays as it was, and so does a constant input.
-    """
-    rows = min(record.rows, MOST_SAMPLES)
-    same = record.window(0, rows)
-    period = float(np.median(record.intervals))
-    time = np.arange(rows) * period
-    set_by_user = {i.name for i in inputs if i.role in ("", DRIVE, VALVE)}
-    ranges = {name: _InputRange.of(values) for name, values in record.inputs.items()}
-    driven = [name for name in record.inputs if name in set_by_user and ranges[name].peak > 0]
-    courses = {name: _courses(time, period, number) for number, name in enumerate(driven)}
-    shares = {InputKind.SMALL_SWEEP: 1 / 5, InputKind.MULTISINE: 1 / 3}
-    experiments = {}
-    for kind in NEW_COURSES:
-        share = shares.get(kind, 1.0)
-        moved = {name: ranges[name].middle + share * ranges[name].peak * courses[name][kind] for name in driven}
-        experiments[kind] = Experiment(kind, time, {**same.inputs, **moved}, {})
-    for kind, factor in {
-        InputKind.SAME_INPUT: 1.0,
-        InputKind.SAME_INPUT_SMALL: 1 / 3,
-        InputKind.SAME_INPUT_DOUBLED: 2.0,
-    }.items():
-        rest = {name: ranges[name].rest for name in driven}
-        scaled = {name: rest[name] + factor * (same.inputs[name] - rest[name]) for name in driven}
-        experiments[kind] = Experiment(kind, same.time, {**same.inputs, **scaled}, {}, same.hold)
-    return experiments
-
-
-@dataclass(frozen=True)
-class _InputRange:
-    """Where an input moves in a record: about zero if it takes both signs, else about the middle of its range.
-
-    ``rest`` is zero, or the end of the range that is nearest to it.
-    """
-
-    middle: float
-    peak: float
-    rest: float
-
-    @classmethod
-    def of(cls, values: np.ndarray) -> _InputRange:
-        low, high = float(values.min()), float(values.max())
-        if low < 0 < high:
-            return cls(0.0, max(-low, high), 0.0)
-        return cls((low + high) / 2, (high - low) / 2, low if low >= 0 else high)
-
-
-# Seed of the multisine's phases.
-PROPOSAL_SEED = 1
-
-
-def _courses(time: np.ndarray, period: float, number: int) -> dict[InputKind, np.ndarray]:
-    """Courses between -1 and 1 for input ``number`` of those that are driven."""
-    low, high = 2 / time[-1], 0.1 / period
-    generator = np.random.default_rng(PROPOSAL_SEED + number)
-    sweep = chirp(time, low, high, 1.0)
-    steps, ramps = 5 + 2 * number, 2 + number
-    return {
-        InputKind.FULL_SWEEP: sweep if number % 2 == 0 else sweep[::-1],
-        InputKind.SMALL_SWEEP: sweep if number % 2 == 0 else sweep[::-1],
-        InputKind.MULTISINE: multisine(time, low, high, 1.0, generator),
-        InputKind.STEPS: np.sign(np.sin(2 * np.pi * steps / time[-1] * time)),
-        InputKind.SLOW_TRIANGLE: (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * ramps / time[-1] * time)),
-    }
-
-
-def _cost_of_rival(
-    problem: DiscoveryProblem,
-    rival: FittedCandidate,
-    record: Experiment,
-    measured: tuple[str, ...],
-) -> float:
-    """Cost of the rival on a record of the selected model, after its parameters have adapted."""
-    outputs = {n: record.outputs[n] for n in measured}
-    estimation = problem.prepare(
-        rival.model, (Experiment(record.name, record.time, record.inputs, outputs, record.hold),)
-    )
-    std = estimation.noise.std.copy()
-    for j, output in enumerate(rival.model.outputs):
-        is_new = output.name in measured and output.name not in problem.noise_std
-        if is_new:  # how good that sensor would be is not known
-            std[j] = NEW_SENSOR_NOISE * max(float(np.abs(record.outputs[output.name]).max()), TINY)
-    estimation = replace(estimation, noise=replace(estimation.noise, std=std))
-    e = estimation.shooting(estimation.variables).evaluate(estimation.variables.here)
-    if not (np.isfinite(e.cost) and e.is_finite):
-        return np.inf
-    return e.cost - e.predicted_decrease(*estimation.variables.bounds())
 
 
 def propose_next_steps(
@@ -219,21 +69,13 @@ def propose_noise_check(base: Fit) -> tuple[Finding, ...]:
     return (Finding(DiscoveryCode.CHECK_NOISE, Severity.WARNING, ", ".join(guessed), values),)
 
 
-def propose_experiments(
-    problem: DiscoveryProblem, selected: FittedCandidate, rivals: Sequence[FittedCandidate]
-) -> tuple[Finding, ...]:
-    """For each rival the experiment that would tell it from the selected model, or that there is none."""
-    findings = []
-    for rival in rivals:
-        ranked = rank_discriminating_experiments(problem, selected, rival)
-        if not ranked:
-            continue
-        best = ranked[0]
-        decides = not best.cost < TIE_COST
-        code = DiscoveryCode.DISCRIMINATING_EXPERIMENT if decides else DiscoveryCode.NO_DISCRIMINATING_EXPERIMENT
-        values = {"experiment": best.experiment.value, "measured": list(best.measured), "cost": best.cost}
-        findings.append(Finding(code, subject=" + ".join(best.rival), values=values))
-    return tuple(findings)
+def separate_ties(answer: Sequence[str], alternatives: Sequence[Sequence[str]]) -> tuple[Finding, ...]:
+    """What would settle which of some sets that the records cannot tell apart is the right one, for each alternative."""
+    sets = [(sorted(set(answer) - set(other)), sorted(set(other) - set(answer))) for other in alternatives]
+    return tuple(
+        Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=" + ".join(here), values={"rival": " + ".join(there)})
+        for here, there in sets
+    )
 
 
 def explain_doubt(claim: Claim) -> Finding | None:

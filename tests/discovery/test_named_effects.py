@@ -255,8 +255,8 @@ def test_an_offset_and_a_load_without_the_current_are_a_tie():
     )
     assert d.verdict is Verdict.AMBIGUOUS, str(d)
     assert {d.effects[0]["name"], *(n for a in d.alternatives for n in a)} == {"input_offset", "constant_load"}
-    (proposal,) = with_code(d.findings, DiscoveryCode.DISCRIMINATING_EXPERIMENT)
-    assert proposal.values["measured"] == ["x", "i"]
+    (step,) = with_code(d.next_steps, DiscoveryCode.SEPARATE_FROM_RIVAL)
+    assert {step.subject, step.values["rival"]} == {"input_offset", "constant_load"}
     assert [check.rule for check in d.checks].count(DiscoveryRule.TIE) == 1
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base import Check, Finding, format_unit
 from greybox.base.json_shape import to_values
-from greybox.data.signals import InputKind
 from greybox.discovery.claims import Depth, split_names
 from greybox.discovery.curve_shape import TIME, Parity, ShapeKind
 from greybox.discovery.decision import Grade
@@ -507,18 +506,6 @@ def _check_noise(finding: Finding) -> str:
     )
 
 
-_INPUTS = {
-    InputKind.FULL_SWEEP: "a sweep at full amplitude",
-    InputKind.SMALL_SWEEP: "a sweep at a fifth of the amplitude",
-    InputKind.MULTISINE: "a multisine",
-    InputKind.STEPS: "steps up and down",
-    InputKind.SLOW_TRIANGLE: "a slow triangle",
-    InputKind.SAME_INPUT: "the same input",
-    InputKind.SAME_INPUT_SMALL: "the same input at a third of the amplitude",
-    InputKind.SAME_INPUT_DOUBLED: "the same input doubled",
-}
-
-
 def _noise_from_residual(finding: Finding) -> str:
     shown = ", ".join("white" if not colour else f"correlation {colour[0]:.3g}" for colour in finding.values["colours"])
     return f"candidates are weighed by the colour of the residual of {finding.subject}: {shown}"
@@ -629,12 +616,6 @@ register(
         DiscoveryCode.SHAPE_CORRECTED: lambda f: (
             f"the family of the effect is certain, but its shape differs from {f.subject}: {' + '.join(f.values['correction'])} corrects it"
         ),
-        DiscoveryCode.DISCRIMINATING_EXPERIMENT: lambda f: (
-            f"{_INPUTS[f.values['experiment']]}, with {' and '.join(f.values['measured'])} measured, would separate {f.subject} from the"
-            f" selected model (expected chi-square {f.values['cost']:.3g})"
-        ),
-        DiscoveryCode.NO_DISCRIMINATING_EXPERIMENT: "no simulated experiment would separate {subject} from the selected model"
-        " with these sensors (chi-square {cost:.2g} at best)",
         DiscoveryCode.DETECTION_LIMIT: _detection_limit,
         # Why an effect was not tried.
         DiscoveryCode.NO_PLACE: "the model has no place for it: {reason}",
@@ -657,7 +638,7 @@ register(
         # What to do next.
         DiscoveryCode.SEPARATE_FROM_RIVAL: lambda f: (
             f"record an experiment in which {effect_title(f.subject)} and {effect_title(f.values['rival'])} differ (another amplitude,"
-            " speed or direction): these records do not separate them"
+            " speed or direction; `greybox design` with `--goal discrimination` plans it): these records do not separate them"
         ),
         DiscoveryCode.QUOTE_THIRD_RECORD: "quote the error on a third record: the validation records chose some of these effects",
         DiscoveryCode.CONFIRM_ON_ANOTHER_RECORD: "continue with the extended model, and confirm it on a record with another amplitude or"

@@ -236,16 +236,6 @@ FINDINGS = [
         " corrects it",
     ),
     (
-        Code.DISCRIMINATING_EXPERIMENT,
-        *("constant_load", {"experiment": "steps", "measured": ["x", "i"], "cost": 4321.0}),
-        "steps up and down, with x and i measured, would separate constant_load from the selected model (expected chi-square 4.32e+03)",
-    ),
-    (
-        Code.NO_DISCRIMINATING_EXPERIMENT,
-        *("constant_load", {"experiment": "steps", "measured": ["x"], "cost": 0.0123}),
-        "no simulated experiment would separate constant_load from the selected model with these sensors (chi-square 0.012 at best)",
-    ),
-    (
         Code.DETECTION_LIMIT,
         *("cubic_stiffness", {"parameter": "K3", "limit": 1.234e8, "unit": "N/m^3"}),
         "cubic_stiffness is not detectable below K3 = 1.2e+08 N/m^3",
@@ -483,8 +473,8 @@ FINDINGS = [
     (
         Code.SEPARATE_FROM_RIVAL,
         *("input_offset", {"rival": "constant_load"}),
-        "record an experiment in which input offset and constant load differ (another amplitude, speed or direction): these records do not"
-        " separate them",
+        "record an experiment in which input offset and constant load differ (another amplitude, speed or direction; `greybox design` with"
+        " `--goal discrimination` plans it): these records do not separate them",
     ),
     (
         Code.ERROR_REDUCED,
