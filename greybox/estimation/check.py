@@ -19,6 +19,7 @@ from greybox.estimation.identifiability.practical import (
 )
 from greybox.estimation.identifiability.sensitivity import simulate_generic_record
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
+from greybox.estimation.identifiability.twins import find_other_answers, find_twins
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model import Input, Model, Parameter, State
@@ -115,6 +116,8 @@ class ModelCheck(Printable, StoredResult):
         What the measured outputs determine at best; None where the model could not be run or has no equations, then ``doubt`` says why.
     practical
         What these records determine.
+    other_answers
+        Other values of the constants than these that make the same run, such as two that change places.
     placements
         Where the effects of the catalogue find a place in it, and what the others lack.
     policy, options
@@ -134,6 +137,7 @@ class ModelCheck(Printable, StoredResult):
     excluded: tuple[Finding, ...]
     structure: StructuralIdentifiability | None
     practical: PracticalIdentifiability
+    other_answers: tuple[Finding, ...] = ()
     doubt: str = ""
     placements: tuple[Placement, ...] = ()
     options: FitOptions = field(default_factory=FitOptions, repr=False)
@@ -141,7 +145,7 @@ class ModelCheck(Printable, StoredResult):
     FILE: ClassVar[FileKind] = FileKind("a check", "check.json that greybox check has written")
     KEYS: ClassVar[str] = """
         model!=model.title linear discretisation kernel records=experiments assumed=str(assumed) noise=noise_outline
-        structure!=structure_or_doubt data=practical complete roles effects=placed without_place options
+        structure!=structure_or_doubt data=practical other_answers? complete roles effects=placed without_place options
         """
 
     @property
@@ -284,6 +288,7 @@ def check(
             structure = analyse_structural_identifiability(model, measured, at_rest=options.at_rest)
     except DataError as error:  # of a model that overflows; the records are still looked at
         doubt = str(error)
+    practical = analyse_problem(problem, structure)
     return ModelCheck(
         model,
         model.has_equations and model.system.linear,
@@ -297,7 +302,8 @@ def check(
         problem.noise,
         tuple(find_excluded_outputs(problem)),
         structure,
-        analyse_problem(problem, structure),
+        practical,
+        () if practical.failure else tuple(find_other_answers(find_twins(problem))),
         doubt,
         tuple(find_placements(model, all_effects())),
         options,

@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 
 import casadi as ca
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from greybox.base.linear_algebra import (
-    DIRECTION_RANK,
-    SymmetricDecomposition,
-    decompose_columns,
-    decompose_symmetric,
-    eliminate,
-    pseudo_inverse,
-)
-from greybox.base.numerics import DIRECTION_CUTOFF, PRIOR_INFORMATION_CUTOFF, TINY
-from greybox.estimation.identifiability.combinations import find_sparsest_vectors, is_integer, to_small_integers
-from greybox.estimation.identifiability.transfer_functions import format_polynomial
+from greybox.base.linear_algebra import SymmetricDecomposition, decompose_symmetric, eliminate, pseudo_inverse
+from greybox.base.numerics import AT_BOUND, PRIOR_INFORMATION_CUTOFF, TINY
 from greybox.estimation.objective import LikelihoodMaximum, ResidualRows
 from greybox.estimation.result_parts import Estimate, IntervalKind, PriorCheck
 from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, sum_scores
@@ -48,18 +38,20 @@ class NarrowedInterval:
 
 
 @dataclass(frozen=True)
-class KnownCombination:
-    """What the data do determine of constants that they leave open: ``a - b``, its value, standard deviation and 95 % interval."""
+class BoundLimit:
+    """What the records say of a constant that lies on a bound.
 
-    text: str
-    value: float
-    std: float
-    interval: tuple[float, float]
+    ``limit``: how far from the bound it may be at 95 %; None where that is the other bound, or where the records would have it beyond
+    this one. ``pull``: by how many of its standard deviations they would.
+    """
+
+    limit: float | None
+    pull: float
 
 
 @dataclass(frozen=True)
 class ParameterCovariance:
-    """``covariance`` (nf, nf) of the free constants, and directions that the data do not determine: names with weights.
+    """``covariance`` (nf, nf) of the free constants, and a basis ``null`` (nf, k), in ``z``, of directions that the data do not determine.
 
     ``kind``: ``gauss_newton`` (white residual) or ``sandwich`` (coloured residual); ``inflation`` (nf,): standard deviation over
     the one that a white residual of the same size would give; ``degrees`` of freedom of the variance behind it, infinite where
@@ -69,7 +61,7 @@ class ParameterCovariance:
     """
 
     covariance: np.ndarray
-    open_directions: tuple[dict[str, float], ...]
+    null: np.ndarray
     kind: IntervalKind = IntervalKind.GAUSS_NEWTON
     inflation: np.ndarray = field(default_factory=lambda: np.empty(0))
     degrees: float = np.inf
@@ -77,16 +69,18 @@ class ParameterCovariance:
     scores: np.ndarray | None = None
     log_noise: np.ndarray = field(default_factory=lambda: np.empty(0))
     """Standard deviation of the logarithm of each noise level that was estimated with the rest (k,)."""
+    spread: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    """The covariance along what the data determine alone (nf, nf): finite also where directions are open."""
     held: tuple[NarrowedInterval, ...] = ()
     """Constants whose intervals rest on others being exactly at their bounds."""
-    combinations: tuple[KnownCombination, ...] = ()
-    """Products and sums of the constants in the open directions that change along none of them."""
+    limits: Mapping[int, BoundLimit] = field(default_factory=dict)
+    """Of each constant that lies on a bound, by its number."""
 
     @classmethod
     def unknown(cls, variables: DecisionVector) -> ParameterCovariance:
         """That of the constants where there is no optimum."""
         n, levels = len(variables.which), len(variables.estimated_noise)
-        return cls(np.full((n, n), np.nan), (), inflation=np.ones(n), log_noise=np.full(levels, np.nan))
+        return cls(np.full((n, n), np.nan), np.empty((n, 0)), inflation=np.ones(n), log_noise=np.full(levels, np.nan))
 
     @classmethod
     def of(
@@ -111,24 +105,20 @@ class ParameterCovariance:
         variance = np.where(decomposition.is_open, np.inf, np.diag(spread))
         open_spread = spread.copy()
         open_spread[np.diag_indices_from(spread)] = variance
+        null = np.zeros((len(variables.which), decomposition.weak.shape[1]))
+        null[inside] = decomposition.null_basis[:k]
         whole_inflation = np.ones(len(variables.which))
         whole_inflation[inside] = inflation[:k]
         return cls(
             _place(open_spread[:k, :k] * np.outer(spans, spans), variables),
-            list_open_directions([variables.names[j] for j in inside] + [""] * (len(spread) - k), decomposition),
+            null,
             kind,
             whole_inflation,
             degrees,
             _place(information, variables),
             _place(scores, variables),
             np.sqrt(variance[k:]),
-            combinations=find_known_combinations(
-                [variables.names[j] for j in inside],
-                variables.fixed[variables.which[inside]],
-                spans[:, None] * (decomposition.weak / decomposition.scale[:, None])[:k],
-                spread[:k, :k] * np.outer(spans, spans),
-                degrees,
-            ),
+            _place(spread[:k, :k] * np.outer(spans, spans), variables),
         )
 
 
@@ -161,18 +151,8 @@ def estimate_covariance(
     prior = variables.penalty(variables.here)[2] / 2
     known = np.diag(np.pad(prior, (0, variables.size - n)))
     rows, colour = residuals.rows, colour.share_variance(problem.noise.sharing)
-    sums, held = sum_scores(variables, rows, colour), np.diag(prior[inside])
+    sums = sum_scores(variables, rows, colour)
     data = sums.information
-    # Schur complement: A_cc - A_ci A_ii^-1 A_ic, the initial states estimated as well instead of counted as known.
-    projector = eliminate(data + known, inside, np.arange(n, variables.size))
-    information = _symmetrise(projector @ data[:, inside])
-    # An offset that a free initial state can take the place of has no information left but rounding, of either sign.
-    lost = np.diag(information) <= LOST_INFORMATION * np.diag(data)[inside]
-    information[lost], information[:, lost] = 0.0, 0.0
-    # Nor have the scores: beside a wide prior what is left of them would be a variance of either sign.
-    projector[lost] = 0.0
-    decomposition = decompose_symmetric(information + held)
-    inverse = decomposition.pseudo_inverse
     freedom = evaluation.count - colour.unknowns + int(variables.has_prior.sum())
     # As many unknowns as readings take the residual away, and with it all that it could say of the noise.
     if freedom <= 0 and not problem.noise.known:
@@ -182,29 +162,93 @@ def estimate_covariance(
     # that the residual left.
     if problem.noise.known and (problem.variance_floor is not None or evaluation.squares.sum() <= degrees):
         degrees = np.inf
-    scores = projector @ sums.white @ projector.T
-    # A^-1 (s^2 J'J + P) A^-1; where s^2 = 1 it is A^-1 itself.
-    spread, kind, inflation = inverse @ (scores + held) @ inverse, IntervalKind.GAUSS_NEWTON, np.ones(len(inside))
-    if colour.coloured:
-        white = np.diag(spread)
-        scores = projector @ sums.coloured @ projector.T
-        other = estimate_kernel_score_covariance(variables, rows, colour, projector)
-        # Two estimates of the middle, each of which may fall short: the larger standard deviation of both counts.
-        spread = raise_to_larger(*(inverse @ (middle + held) @ inverse for middle in (scores, other)))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inflation = np.sqrt(np.diag(spread) / white)
-        kind, degrees = IntervalKind.SANDWICH, colour.degrees
-    result = ParameterCovariance.of(
-        variables,
-        spread,
-        decomposition,
-        kind=kind,
-        inflation=inflation,
-        degrees=degrees,
-        information=information,
-        scores=scores,
-    )
-    return replace(result, held=find_narrowed_intervals(variables, data + known))
+    kind = IntervalKind.SANDWICH if colour.coloured else IntervalKind.GAUSS_NEWTON
+    degrees = colour.degrees if colour.coloured else degrees
+
+    def spread(kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, SymmetricDecomposition, dict[str, np.ndarray]]:
+        held = np.diag(prior[kept])
+        # Schur complement: A_cc - A_ci A_ii^-1 A_ic, the initial states estimated as well instead of counted as known.
+        projector = eliminate(data + known, kept, np.arange(n, variables.size))
+        information = _symmetrise(projector @ data[:, kept])
+        # An offset that a free initial state can take the place of has no information left but rounding, of either sign.
+        lost = np.diag(information) <= LOST_INFORMATION * np.diag(data)[kept]
+        information[lost], information[:, lost] = 0.0, 0.0
+        # Nor have the scores: beside a wide prior what is left of them would be a variance of either sign.
+        projector[lost] = 0.0
+        decomposition = decompose_symmetric(information + held)
+        inverse = decomposition.pseudo_inverse
+        scores = projector @ sums.white @ projector.T
+        # A^-1 (s^2 J'J + P) A^-1; where s^2 = 1 it is A^-1 itself.
+        result, inflation = inverse @ (scores + held) @ inverse, np.ones(len(kept))
+        if colour.coloured:
+            white = np.diag(result)
+            scores = projector @ sums.coloured @ projector.T
+            other = estimate_kernel_score_covariance(variables, rows, colour, projector)
+            # Two estimates of the middle, each of which may fall short: the larger standard deviation of both counts.
+            result = raise_to_larger(*(inverse @ (middle + held) @ inverse for middle in (scores, other)))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                inflation = np.sqrt(np.diag(result) / white)
+        figures = {"inflation": inflation, "information": information, "scores": scores}
+        return result, inverse @ projector, decomposition, figures
+
+    covariance, _, decomposition, figures = spread(inside)
+    result = ParameterCovariance.of(variables, covariance, decomposition, kind=kind, degrees=degrees, **figures)
+    # Of noise that is known no residual is less.
+    floor = float(evaluation.count) if problem.noise.known else 0.0
+    limits = find_bound_limits(variables, evaluation, lambda kept: spread(kept)[:3], degrees, floor)
+    return replace(result, held=find_narrowed_intervals(variables, data + known), limits=limits)
+
+
+def find_bound_limits(
+    variables: DecisionVector,
+    evaluation: Evaluation,
+    spread: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, SymmetricDecomposition]],
+    degrees: float,
+    floor: float,
+) -> dict[int, BoundLimit]:
+    """What the records say of each constant on a bound: how far from it the constant may be, and whether they would have it beyond.
+
+    Parameters
+    ----------
+    variables
+        The unknowns, ``z = 0`` at the optimum.
+    evaluation
+        The cost with its slope there.
+    spread
+        From the numbers of constants to their covariance in ``z``, the matrix that takes half the gradient to their step, and the
+        decomposition of their information.
+    degrees
+        Of freedom of the variance.
+    floor
+        What of the cost is noise at least; infinite where its level is not told by the cost.
+    """
+    limits = {}
+    low, cost = variables.bounds()[0], evaluation.cost
+    for k in np.flatnonzero(variables.active):
+        kept = np.flatnonzero(~variables.active | (np.arange(len(variables.which)) == k))
+        covariance, newton, decomposition = spread(kept)
+        place = int(np.searchsorted(kept, k))
+        inward = 1.0 if low[k] >= -AT_BOUND else -1.0
+        # Where the least cost would be without the bound, from the bound inwards: - A^-1 g / 2.
+        best = -inward * float(newton[place] @ evaluation.gradient) / 2
+        deviation = float(np.sqrt(covariance[place, place]))
+        if decomposition.is_open[place] or not (np.isfinite(best) and deviation > 0):
+            limits[int(k)] = BoundLimit(None, 0.0)
+            continue
+        outside, reach = min(best, 0.0), compute_quantile(degrees) * deviation
+        # Held at the bound the misfit may be large for that alone: the noise is what is left where the cost is least, less d^2 / (A^-1)_kk.
+        left = min(max(cost - outside**2 / float(newton[place, k]), floor), cost) if np.isfinite(floor) else cost
+        pull = float(np.sqrt(cost / max(left, TINY))) * -outside / deviation
+        # The rise over the cost at the bound, ((d - best)^2 - best^2) / s^2, comes to the squared 95 % point at this distance.
+        distance = best + float(np.sqrt(outside**2 + reach**2))
+        value, bounds = float(variables.base[k]), (variables.low[k], variables.high[k])
+        limit = value + inward * distance * float(variables.scale[k])
+        if variables.logarithmic[k]:
+            # d log p = dp / p near a lower bound, where p may grow by decades, and -d(1/p) p near an upper one.
+            limit = value * (1 + distance) ** inward
+        is_set = bounds[0] < limit < bounds[1] and pull <= compute_quantile(degrees)
+        limits[int(k)] = BoundLimit(limit if is_set else None, pull)
+    return limits
 
 
 def estimate_likelihood_covariance(
@@ -255,7 +299,14 @@ def estimate_likelihood_covariance(
     result = ParameterCovariance.of(
         v, spread, decomposition, kind=kind, inflation=inflation, information=information, scores=information
     )
-    return replace(result, held=find_narrowed_intervals(v, expected))
+
+    def spread_of(kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, SymmetricDecomposition]:
+        others = np.arange(n, v.size)
+        parts = decompose_symmetric(_reduce_information(expected, kept, others))
+        return parts.pseudo_inverse, parts.pseudo_inverse @ eliminate(expected, kept, others), parts
+
+    limits = find_bound_limits(v, optimum.evaluation, spread_of, np.inf, np.inf)
+    return replace(result, held=find_narrowed_intervals(v, expected), limits=limits)
 
 
 def find_narrowed_intervals(variables: DecisionVector, information: np.ndarray) -> tuple[NarrowedInterval, ...]:
@@ -295,16 +346,14 @@ def find_narrowed_intervals(variables: DecisionVector, information: np.ndarray) 
     return tuple(result)
 
 
-def count_open_directions(variables: DecisionVector, information: np.ndarray) -> int:
-    """Along how many directions the free constants change nothing that the records show, the initial states estimated as well.
+def decompose_information(variables: DecisionVector, information: np.ndarray) -> SymmetricDecomposition:
+    """What the records show of the free constants, the initial states estimated as well; nothing where it is not finite.
 
-    ``information`` as in `find_narrowed_intervals`; all of them where it is not finite.
+    ``information`` as in `find_narrowed_intervals`.
     """
     constants = np.arange(len(variables.which))
-    if not np.isfinite(information).all():
-        return len(constants)
     reduced = _reduce_information(information, constants, np.arange(len(constants), len(information)))
-    return decompose_symmetric(reduced).weak.shape[1]
+    return decompose_symmetric(np.nan_to_num(reduced))
 
 
 # The gradient of a likelihood is differenced over this share of a standard deviation either way.
@@ -369,68 +418,6 @@ def raise_to_larger(covariance: np.ndarray, other: np.ndarray) -> np.ndarray:
     return covariance * np.outer(factor, factor)
 
 
-def list_open_directions(names: list[str], information: SymmetricDecomposition) -> tuple[dict[str, float], ...]:
-    """Directions that hold no information as names with weights, the largest of them one."""
-    result = []
-    for vector in (information.weak / information.scale[:, None]).T:
-        # In units of the constants' spans: an entry is how far a constant moves along the direction; below a
-        # hundredth it only blurs the sentence.
-        shares = vector / vector[np.argmax(np.abs(vector))]
-        result.append({name: float(w) for name, w in zip(names, shares, strict=True) if abs(w) > 1e-2})
-    return tuple(result)
-
-
-def find_known_combinations(
-    names: Sequence[str], values: np.ndarray, null: np.ndarray, spread: np.ndarray, degrees: float
-) -> tuple[KnownCombination, ...]:
-    """The products of powers and the sums of constants that are determined where the constants are not.
-
-    Parameters
-    ----------
-    names, values
-        The constants (n,).
-    null
-        Directions (n, k) along which the data determine nothing, in the constants' units.
-    spread
-        Covariance (n, n) of the constants along the other directions.
-    degrees
-        Of freedom of the variance behind it.
-    """
-    null = null[:, np.abs(null).max(axis=0, initial=0.0) > 0]  # others are those of noise levels alone
-    if not null.size:
-        return ()
-    reach = (np.abs(null) / np.maximum(np.abs(values)[:, None], TINY)).max(axis=1)
-    touched = reach > DIRECTION_CUTOFF * reach.max()
-    point, matrix = values[touched], spread[np.ix_(touched, touched)]
-    open_names = [name for name, is_open in zip(names, touched, strict=True) if is_open]
-    by_constants: dict[frozenset[int], list[KnownCombination]] = {}
-    # A product changes by the sum of its powers times relative changes, a sum by that of the changes: both at right angles to `null`.
-    for is_product in (True, False):
-        if is_product and not point.all():
-            continue
-        scale = point if is_product else np.ones(len(point))
-        changes = null[touched] / scale[:, None]
-        directions = changes / np.linalg.norm(changes, axis=0)
-        for vector in find_sparsest_vectors(decompose_columns(directions.T, DIRECTION_RANK, np.ones(len(point))).weak):
-            powers = to_small_integers(vector)
-            if not is_integer(powers) or (powers != 0).sum() < 2 or not (is_product or np.abs(powers).max() == 1):
-                continue
-            powers = powers if powers.sum() >= 0 else -powers
-            value = float(np.prod(point**powers) if is_product else powers @ point)
-            slope = powers / point * value if is_product else powers
-            std = float(np.sqrt(slope @ matrix @ slope))
-            whole_powers = powers.astype(int)
-            terms = [whole_powers] if is_product else list(np.diag(np.abs(whole_powers))[powers != 0])
-            factors = [1] if is_product else whole_powers[powers != 0].tolist()
-            poly = {tuple(e.tolist()): Fraction(f) for e, f in zip(terms, factors, strict=True)}
-            text = format_polynomial(poly, open_names)
-            low, high = compute_interval(value, compute_quantile(degrees) * std, False, (-np.inf, np.inf))
-            combination = KnownCombination(text, value, std, (low, high))
-            by_constants.setdefault(frozenset(np.flatnonzero(powers).tolist()), []).append(combination)
-    # Of constants that are equal both hold near this point, and nothing says which holds elsewhere.
-    return tuple(each[0] for each in by_constants.values() if len(each) == 1)
-
-
 def _reduce_information(information: np.ndarray, wanted: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Information on the ``wanted`` unknowns with the ``others`` estimated as well; what is not finite stays so."""
     if not np.isfinite(information).all():
@@ -457,8 +444,10 @@ def to_estimates(variables: DecisionVector, covariance: ParameterCovariance) -> 
     matrix, active = to_model_covariance(variables, covariance.covariance), variables.active
     for j, k in enumerate(locate_fitted(variables)):
         q, entries = everything[k], variables.which == k
-        bound = bool(active[entries].any())
-        result[q.name] = _estimate(q, float(variables.fixed[k]), matrix[j, j], covariance.degrees, bound)
+        # Of its own value in each record the limits stand with these.
+        at = np.flatnonzero(entries & active)
+        limit = covariance.limits.get(int(at[0])) if entries.sum() == 1 and len(at) else None
+        result[q.name] = _estimate(q, float(variables.fixed[k]), matrix[j, j], covariance.degrees, bool(len(at)), limit)
     return result
 
 
@@ -471,7 +460,8 @@ def to_experiment_estimates(
         if variables.owner[k] != SHARED:
             title = label[len(q.name) + 2 : -1]
             value, variance = float(variables.base[k]), covariance.covariance[k, k]
-            estimate = _estimate(q, value, variance, covariance.degrees, bool(variables.active[k]))
+            limit = covariance.limits.get(k)
+            estimate = _estimate(q, value, variance, covariance.degrees, bool(variables.active[k]), limit)
             result.setdefault(q.name, {})[title] = estimate
     return result
 
@@ -582,7 +572,11 @@ def to_model_covariance(variables: DecisionVector, covariance: np.ndarray) -> np
     return result
 
 
-def _estimate(q: Parameter, value: float, variance: float, degrees: float, bound: bool) -> Estimate:
+def _estimate(
+    q: Parameter, value: float, variance: float, degrees: float, bound: bool, limit: BoundLimit | None = None
+) -> Estimate:
     std = float(np.sqrt(variance)) if np.isfinite(variance) else None
     limits = None if std is None else compute_interval(value, compute_quantile(degrees) * std, q.positive, q.bounds)
+    if limit is not None and limit.limit is not None:  # from the bound to as far as the records let it be
+        limits = (min(value, limit.limit), max(value, limit.limit))
     return Estimate(value, q.unit, std, limits, False, bound)

@@ -10,13 +10,20 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from greybox.base import Finding, Severity
-from greybox.base.numerics import RELATION_MET, ROWS_AT_A_TIME, STATE_BOUND_MARGIN, TINY
+from greybox.base import Finding, Severity, format_unit
+from greybox.base.linear_algebra import are_independent
+from greybox.base.numerics import INDEPENDENT_FORMULA, RELATION_MET, ROWS_AT_A_TIME, STATE_BOUND_MARGIN, TINY
 from greybox.data.experiment import Experiment, collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
-from greybox.estimation.covariance import ParameterCovariance
+from greybox.estimation.covariance import ParameterCovariance, compute_interval, compute_quantile
 from greybox.estimation.errors import compute_noise_ratios
+from greybox.estimation.identifiability.combinations import find_determined_formulas
+from greybox.estimation.identifiability.transfer_functions import (
+    Polynomial,
+    format_polynomial,
+    logarithmic_gradient,
+)
 from greybox.estimation.objective import ProcessNoiseTest
 from greybox.estimation.optimum import Optimum, PredictionOptimum
 from greybox.estimation.parameter_constancy import NOISE_RATIO, find_certain_ratio
@@ -47,8 +54,8 @@ class EstimationCode(StrEnum):
     MODEL_DOES_NOT_FOLLOW = "model_does_not_follow"
     NO_FREEDOM = "no_freedom"
     DIRECTION_UNDETERMINED = "direction_undetermined"
-    COMBINATION_DETERMINED = "combination_determined"
     STOPPED_BY_BOUND = "stopped_by_bound"
+    LIMITED_FROM_BOUND = "limited_from_bound"
     NARROWED_BY_BOUND = "narrowed_by_bound"
     PARAMETER_UNDETERMINED = "parameter_undetermined"
     NOTHING_TO_EXPLAIN = "nothing_to_explain"
@@ -270,16 +277,12 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     if covariance.degrees == 0:
         count = sum(int(np.isfinite(r.y).sum()) for r in problem.records)
         warn(EstimationCode.NO_FREEDOM, readings=count, unknowns=variables.size)
-    for direction in covariance.open_directions:
-        warn(EstimationCode.DIRECTION_UNDETERMINED, direction=dict(direction))
-    for known in covariance.combinations:
-        numbers = {"value": known.value, "std": known.std, "interval": list(known.interval)}
-        warn(EstimationCode.COMBINATION_DETERMINED, Severity.NOTE, text=known.text, **numbers)
+    result += _find_open_directions(optimum)
     tested = [test.name for test in optimum.tests]
     zero = [test.name for test in optimum.tests if test.value == 0]
     at_bound = [n for n, e in estimates.items() if e.at_bound and n not in zero]
     wide = [n for n, e in estimates.items() if e.std is not None and not (e.at_bound or e.determined or n in tested)]
-    result += _list_parameters(EstimationCode.STOPPED_BY_BOUND, at_bound)
+    result += _find_bounds(variables, covariance, at_bound)
     result += _find_narrowed(covariance, at_bound)
     result += _list_parameters(EstimationCode.PARAMETER_UNDETERMINED, wide)
     # Nothing to explain: every output is at its noise already with a constant in the place of the model.
@@ -593,6 +596,108 @@ def find_driven_balances(model: Model, name: str) -> dict[str, tuple[str, str, f
             balance = balances[state]
             driven[state] = balance.name, balance.unit, float(abs(storages[k]) * sizes[k])
     return driven
+
+
+# Weight of a constant in an open direction, over the largest one, below which it takes no part, and from which it is listed: a hundredth
+# of it only blurs a sentence.
+OPEN_WEIGHT = 1e-6
+LISTED_WEIGHT = 0.01
+# Change of the first of two constants, in its logarithm, with which a formula for what they determine together is tried in a run.
+FORMULA_STEP = 0.3
+# What such a run may add to the cost, over the variance of the residual.
+FORMULA_RISE = 0.01
+
+
+def _find_open_directions(optimum: Optimum) -> list[Finding]:
+    """The directions that the records leave open, those that share constants together, with the formulas that they determine."""
+    covariance, v, result = optimum.covariance, optimum.variables, []
+    # In the logarithms of the constants: dp / p.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        null = covariance.null * (v.spans / np.where(v.base == 0, v.spans, v.base))[:, None]
+    touched = np.abs(null) > OPEN_WEIGHT * np.abs(null).max(axis=0, initial=TINY)
+    left = list(range(null.shape[1]))
+    while left:
+        group = [left[0]]
+        while more := [k for k in left if k not in group and (touched[:, group].any(axis=1) & touched[:, k]).any()]:
+            group += more
+        left = [k for k in left if k not in group]
+        places = np.flatnonzero(touched[:, group].any(axis=1))
+        directions = [
+            {
+                v.names[i]: float(null[i, k] / null[np.argmax(np.abs(null[:, k])), k])
+                for i in np.flatnonzero(touched[:, k])
+            }
+            for k in group
+        ]
+        values = {
+            "direction": {name: 1.0 for name in v.names if any(name in direction for direction in directions)},
+            "directions": directions,
+            "free": len(v.which),
+            "determined": _value_formulas(optimum, places, null[places][:, group]),
+        }
+        result.append(Finding(EstimationCode.DIRECTION_UNDETERMINED, Severity.WARNING, "", values))
+    return result
+
+
+def _value_formulas(optimum: Optimum, places: np.ndarray, null: np.ndarray) -> list[dict[str, Any]]:
+    """The formulas that the records determine of the constants at ``places``, whose open directions are ``null``, with their values."""
+    v, covariance, p = optimum.variables, optimum.covariance, optimum.variables.base[places]
+    names, units = [v.names[i] for i in places], [v.quantities[i].unit for i in places]
+    spread, quantile = covariance.spread[np.ix_(places, places)], compute_quantile(covariance.degrees)
+    chosen: list[np.ndarray] = []
+    result = []
+    for poly in find_determined_formulas(names, units, p, null):
+        # d log f / d log p; of equal constants a product and a sum have the same, and a run tells them apart.
+        slope = logarithmic_gradient(poly, p)
+        if len(chosen) == len(places) - null.shape[1] or not are_independent([*chosen, slope], INDEPENDENT_FORMULA):
+            continue
+        if len(places) == 2 and not _keeps_the_run(optimum, places, poly):
+            continue
+        chosen.append(slope)
+        value = sum(float(f) * float(np.prod(p**e)) for e, f in ((np.array(e, float), f) for e, f in poly.items()))
+        along = value * slope / p
+        std = float(np.sqrt(max(along @ spread @ along, 0.0)))
+        is_product = len(poly) == 1
+        exponents = next(iter(poly)) if is_product else [1]
+        unit = "*".join(f"({unit})**{e}" for unit, e in zip(units, exponents, strict=False) if e)
+        interval = compute_interval(value, quantile * std, is_product and value > 0, (-np.inf, np.inf))
+        text = format_polynomial(poly, names)
+        result.append({"text": text, "value": value, "std": std, "interval": list(interval), "unit": format_unit(unit)})
+    return result
+
+
+def _keeps_the_run(optimum: Optimum, places: np.ndarray, poly: Polynomial) -> bool:
+    """Whether two constants that move so that a product of powers, a sum or a difference of theirs stays leave the cost as it is."""
+    v, (one, other) = optimum.variables, optimum.variables.base[places].tolist()
+    moved = one * math.exp(FORMULA_STEP)
+    if len(poly) == 1:
+        (first, second) = next(iter(poly))
+        # p1^a p2^b stays.
+        there = other * math.exp(-FORMULA_STEP * first / second) if second else other
+    else:
+        there = other - float(poly[0, 1]) * (moved - one)
+    if np.sign(there) != np.sign(other):
+        return True
+    values = {v.names[places[0]]: moved, v.names[places[1]]: there}
+    cost, count = optimum.evaluation.cost, optimum.evaluation.count
+    evaluation = optimum.objective.at(v.with_values(values)).evaluate(v.here)
+    return bool(evaluation.cost - cost <= FORMULA_RISE * max(abs(cost) / max(count - v.size, 1), 1.0))
+
+
+def _find_bounds(variables: DecisionVector, covariance: ParameterCovariance, at_bound: Sequence[str]) -> list[Finding]:
+    """Constants at their bounds: those that the records would have beyond, and the limits that they set to the others."""
+    places = {k: variables.quantities[k] for k in covariance.limits if variables.quantities[k].name in at_bound}
+    pulled = {k for k in places if covariance.limits[k].pull > compute_quantile(covariance.degrees)}
+    # Without a covariance it is not known where the records would have it.
+    known = {q.name for q in places.values()}
+    stopped = [name for name in at_bound if name not in known or any(places[k].name == name for k in pulled)]
+    result = _list_parameters(EstimationCode.STOPPED_BY_BOUND, stopped)
+    for k, q in places.items():
+        if k not in pulled:
+            value = float(variables.base[k])
+            values = {"limit": covariance.limits[k].limit, "unit": q.unit, "is_upper": value <= q.bounds[0]}
+            result.append(Finding(EstimationCode.LIMITED_FROM_BOUND, Severity.NOTE, variables.names[k], values))
+    return result
 
 
 def _find_narrowed(covariance: ParameterCovariance, at_bound: Sequence[str]) -> list[Finding]:

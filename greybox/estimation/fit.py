@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -23,13 +24,14 @@ from greybox.data.noise import GrowingNoise, NoiseModel, NoiseSource
 from greybox.estimation import result_parts
 from greybox.estimation.covariance import (
     check_priors,
-    count_open_directions,
+    decompose_information,
     locate_fitted,
     to_estimates,
     to_experiment_estimates,
     to_model_covariance,
     to_tied_estimates,
 )
+from greybox.estimation.exchange import find_exchange
 from greybox.estimation.findings import (
     LAST_DIGIT,
     EstimationCode,
@@ -213,7 +215,10 @@ def fit(
                     begun, trouble, problem, experiments, options, colour, report
                 )
     model.require_unchanged()
-    result = assemble_fit(optimum, options)
+    exchange = None
+    if isinstance(optimum, SimulationOptimum) and options.other_starts > 0:
+        exchange = find_exchange(optimum, options)
+    result = exchange.complete(assemble_fit(exchange.optimum, options)) if exchange else assemble_fit(optimum, options)
     if starts or notices:
         result = replace(result, starts=starts, findings=(*notices, *result.findings))
     if held and result.success:
@@ -410,6 +415,8 @@ def stands_where_it_began(optimum: SimulationOptimum) -> bool:
 
 # Points about the start at which a model shows how many of its constants the records could tell.
 LOOKS_ELSEWHERE = 3
+# Share of the cost that a search must have gained to have been under way.
+NOTHING_GAINED = 0.01
 
 
 def has_lost_constants(optimum: SimulationOptimum, problem: EstimationProblem) -> bool:
@@ -418,15 +425,21 @@ def has_lost_constants(optimum: SimulationOptimum, problem: EstimationProblem) -
     There a term has gone (an exponent that left the record, two of a sum that became one), and the slopes with it: nothing leads back. A
     model whose constants the records never tell apart has as many such directions everywhere, and loses none.
     """
-    lost = count_open_directions(optimum.variables, optimum.evaluation.hessian)
+    lost = decompose_information(optimum.variables, optimum.evaluation.hessian).weak.shape[1]
     if not lost or is_at_noise(optimum) or not np.isfinite(optimum.evaluation.cost):
         return False
+    begin = problem.shooting().evaluate(problem.variables.here)
+    # A search that began at the optimum has lost nothing on its way.
+    if begin.cost <= (1 + NOTHING_GAINED) * optimum.evaluation.cost:
+        return False
     near = draw_starts(optimum.model, LOOKS_ELSEWHERE, seed=0, factor=STARTS_FACTOR)
-    for variables in (problem.variables, *map(problem.variables.with_values, near)):
-        information = problem.shooting(variables).evaluate(variables.here).hessian
-        if count_open_directions(variables, information) < lost:
-            return True
-    return False
+    evaluations = ((v, problem.shooting(v).evaluate(v.here)) for v in map(problem.variables.with_values, near))
+    return any(
+        # What may be rounding there is not what has gone here.
+        decompose_information(v, elsewhere.hessian).without_doubtful().weak.shape[1] < lost
+        for v, elsewhere in itertools.chain([(problem.variables, begin)], evaluations)
+        if np.isfinite(elsewhere.hessian).all()
+    )
 
 
 def _try_other_starts(

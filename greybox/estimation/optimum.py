@@ -254,6 +254,9 @@ class Optimum(ABC):
 class SimulationOptimum(Optimum):
     """The end of an estimation by simulation error."""
 
+    beside: ParameterCovariance | None = None
+    """The covariance beside the optimum, where the slopes at it do not tell one (`greybox.estimation.exchange`)."""
+
     @property
     def search(self) -> Solution:
         """How the search ended, and the work it took."""
@@ -294,8 +297,8 @@ class SimulationOptimum(Optimum):
     @cached_property
     def covariance(self) -> ParameterCovariance:
         """Of the free constants."""
-        if not self.residuals:
-            return ParameterCovariance.unknown(self.variables)
+        if self.beside is not None or not self.residuals:
+            return self.beside or ParameterCovariance.unknown(self.variables)
         return estimate_covariance(self.variables, self.evaluation, self.residuals, self.colour, self.problem)
 
     def _compute_step_change(self) -> np.ndarray:

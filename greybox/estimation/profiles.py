@@ -14,7 +14,7 @@ from scipy.special import chdtri, fdtri
 
 from greybox.base import DataError, ModelError, Printable, StoredResult, nearest, pseudo_inverse, read_json
 from greybox.base.json_shape import FileKind, Finite, FiniteArray, Interval, UnboundedArray, from_json_data
-from greybox.estimation.covariance import compute_quantile, estimate_covariance
+from greybox.estimation.covariance import ParameterCovariance, compute_quantile, estimate_covariance
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.objective import (
     LIKELIHOOD_TERMINATION,
@@ -168,7 +168,8 @@ class Profile(Printable, IntervalFile):
         low, high = self.by_covariance
         if not high > low:
             return None
-        if any(self.open_sides):
+        # A side that begins at its bound is neither open nor closed.
+        if any(is_open and end != self.best for is_open, end in zip(self.open_sides, self.interval, strict=True)):
             return np.inf
         return float(np.abs(np.subtract(self.interval, self.by_covariance)).max() / ((high - low) / 2))
 
@@ -245,9 +246,9 @@ def profile(fit: Fit, name: str, *, policy: ProfilePolicy = DEFAULT_PROFILE_POLI
     v = objective.variables
     if name not in v.names:
         raise ModelError(f"profile of {name!r}: not a fitted parameter; {nearest(name, v.names)}")
-    k, options = v.names.index(name), restore_options(fit)
+    k = v.names.index(name)
     scale = find_scale(fit, objective, k)
-    search = ProfileSearch(objective, k, scale.least, scale.std, scale.unit, scale.threshold, options, policy)
+    search = ProfileSearch.of(objective, k, scale, restore_options(fit), policy)
     quantity, best = v.quantities[k], float(v.base[k])
     low, points_low = search.follow(quantity.bounds[0], -1)
     high, points_high = search.follow(quantity.bounds[1], +1)
@@ -323,34 +324,42 @@ class RiseScale:
 def find_scale(fit: Fit, objective: Objective, k: int) -> RiseScale:
     """In what unit the cost of the free constant number ``k`` rises."""
     v = objective.variables
-    evaluation = objective.evaluate(v.here)
     if isinstance(objective, SimulationErrorObjective):
-        std, unit, degrees = _scale_simulation_error(objective, evaluation, k)
-        return RiseScale(evaluation.cost, unit, std, degrees)
+        return scale_simulation_error(objective, k)
     # The standard deviation of a fit with process noise is widened by coloured innovations alone.
     widened = fit.uncertainty.inflation.get(v.names[k], 1.0)
     unit = widened**2 if np.isfinite(widened) else 1.0
-    return RiseScale(evaluation.cost, unit, _find_stated(fit, objective, k).std, np.inf)
+    return RiseScale(objective.evaluate(v.here).cost, unit, _find_stated(fit, objective, k).std, np.inf)
 
 
-def _scale_simulation_error(
-    objective: SimulationErrorObjective, evaluation: Evaluation, k: int
-) -> tuple[float | None, float, float]:
-    """Standard deviation of the free constant number ``k``, the cost that is one of them squared, and its degrees of freedom."""
+def scale_simulation_error(objective: SimulationErrorObjective, k: int) -> RiseScale:
+    """The same of a simulation error, at its present point."""
     problem, v = objective.problem, objective.variables
-    residuals = objective.linearise()
-    colour = estimate_residual_colour(residuals.rows, v.size, problem.noise.known, problem.variance_floor)
-    covariance = estimate_covariance(v, evaluation, residuals, colour, problem)
+    evaluation = objective.evaluate(v.here)
+    covariance = estimate_covariance_at(objective, evaluation)
     degrees, variance = covariance.degrees, covariance.covariance[k, k]
     if not np.isfinite(variance) or covariance.information is None:
-        scale = evaluation.cost / max(evaluation.count - v.size, 1)
-        return None, max(scale, 1.0) if problem.noise.known else scale, degrees
+        scale, limit, value = evaluation.cost / max(evaluation.count - v.size, 1), covariance.limits.get(k), v.base[k]
+        std = None
+        if limit is not None and limit.limit is not None:  # of a constant on its bound half the way to its limit
+            way = value * np.log(limit.limit / value) if v.logarithmic[k] else limit.limit - value
+            std = abs(float(way)) / 2
+        return RiseScale(evaluation.cost, max(scale, 1.0) if problem.noise.known else scale, std, degrees)
     inside = np.flatnonzero(~v.active)
     whole = covariance.information[np.ix_(inside, inside)] + np.diag(v.penalty(v.here)[2][inside] / 2)
     place = int(np.searchsorted(inside, k))
     # The unit of the cost in which curvature and stated variance agree: s^2 = var / (A^-1)_kk.
     scale = float(variance / v.spans[k] ** 2 / pseudo_inverse(whole)[place, place])
-    return float(np.sqrt(variance)), scale, degrees
+    return RiseScale(evaluation.cost, scale, float(np.sqrt(variance)), degrees)
+
+
+def estimate_covariance_at(
+    objective: SimulationErrorObjective, evaluation: Evaluation | None = None
+) -> ParameterCovariance:
+    """The covariance that the residual at the present point tells; ``evaluation`` is that there, where it is at hand."""
+    problem, v, residuals = objective.problem, objective.variables, objective.linearise()
+    colour = estimate_residual_colour(residuals.rows, v.size, problem.noise.known, problem.variance_floor)
+    return estimate_covariance(v, evaluation or objective.evaluate(v.here), residuals, colour, problem)
 
 
 # The cost of each point is minimised to this share of the residual's variance (of one, for a likelihood); the threshold is near 4.
@@ -361,8 +370,10 @@ COST_DECREASE = 0.0001
 FIRST_STEP = 1.0
 # Growth of the steps after it.
 PROFILE_GROWTH = 1.6
-# Steps to a side at most: 1.6^8 is 43 standard deviations, beyond which the side counts as open.
+# Steps to a side: 1.6^8 is 43 standard deviations. What is not reached by then is looked for at the bound itself.
 PROFILE_STEPS = 9
+# Without a bound so many times the last step: a side counts as open where the rise stays below the threshold even there.
+FARTHEST_STEP = 1000.0
 # Refits for the crossing at most.
 PROFILE_REFITS = 8
 # First step over the value of a parameter without a standard deviation: a factor of e^0.1.
@@ -390,6 +401,18 @@ class ProfileSearch:
     policy: ProfilePolicy
     ground: float = 0.0
     lost_prior: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        objective: Objective,
+        k: int,
+        scale: RiseScale,
+        options: FitOptions,
+        policy: ProfilePolicy = DEFAULT_PROFILE_POLICY,
+    ) -> ProfileSearch:
+        """The search along the constant number ``k`` whose rise has this ``scale``."""
+        return cls(objective, k, scale.least, scale.std, scale.unit, scale.threshold, options, policy)
 
     def rise(self, value: float, near: DecisionVector | None) -> tuple[float, DecisionVector]:
         """Rise of the least cost over ``scale`` with the parameter at ``value``, from ``near`` on; infinite without a fit."""
@@ -436,9 +459,18 @@ class ProfileSearch:
         std = self.std if self.std is not None and self.std > 0 else BLIND_STEP * (abs(best) or 1.0)
         step = FIRST_STEP * std
         inner, near = (0.0, self.ground), None
-        for _ in range(PROFILE_STEPS):
+        for number in range(PROFILE_STEPS + 1):
             value = place(step)
+            if number == PROFILE_STEPS:
+                # The last one goes to the bound itself, or as far as there is any use in going.
+                if not (farther or np.isfinite(bound)):
+                    break
+                value = bound if np.isfinite(bound) else place(FARTHEST_STEP * step)
+                step = abs(best * float(np.log(value / best)) if v.quantities[self.k].positive else value - best)
             rise, near = self.rise(value, near)
+            # Where there is no run there is no rise to be told.
+            if number == PROFILE_STEPS and not np.isfinite(rise):
+                break
             points.append((value, rise))
             if rise > self.threshold:
                 end = self._cross(place, inner, (step, rise), near, points)
@@ -492,7 +524,8 @@ class ProfileSearch:
             # At a kink (another constant comes to its bound) the same side would be cut over and over: then the middle.
             straight = np.isfinite(rb) and k < refits - 2 and abs(kept) < 2
             # sqrt(rise) is |value - best| / std near the best value: a straight line.
-            step = a + (b - a) * (np.sqrt(threshold) - ra) / (rb - ra) if straight else (a + b) / 2
+            middle = np.sqrt(a * b) if a > 0 else (a + b) / 2  # decades may lie between the last step and the bound
+            step = a + (b - a) * (np.sqrt(threshold) - ra) / (rb - ra) if straight else middle
             rise, near = self.rise(place(step), near)
             points.append((place(step), rise))
             if abs(rise - threshold) <= self.policy.tolerance * threshold:
@@ -501,4 +534,8 @@ class ProfileSearch:
                 inner, kept = (step, rise), max(kept, 0) + 1
             else:
                 outer, kept = (step, rise), min(kept, 0) - 1
-        return place(outer[0])
+        # Between the last two, as near as that tells.
+        (a, fa), (b, fb) = inner, outer
+        if np.isfinite(fb):
+            a += (b - a) * (np.sqrt(threshold) - np.sqrt(max(fa, 0.0))) / (np.sqrt(fb) - np.sqrt(max(fa, 0.0)))
+        return place(a if np.isfinite(fb) else b)

@@ -237,6 +237,36 @@ def find_transfer_function_combinations(model: Model) -> list[ParameterCombinati
     return list(combinations.values())
 
 
+# Constants of open directions up to which formulas for what is determined are looked for: of more nobody would read them.
+FORMULA_CONSTANTS = 6
+
+
+def find_determined_formulas(
+    names: Sequence[str], units: Sequence[str], p: np.ndarray, null: np.ndarray
+) -> Iterator[transfer_functions.Polynomial]:
+    """Products of powers, then sums and differences of constants of one dimension, that no open direction changes at ``p`` (n,).
+
+    ``null`` (n, k): the open directions in the logarithms of the constants.
+    """
+    size = len(names)
+    if not 0 < size <= FORMULA_CONSTANTS or not p.all():
+        return
+    # A product changes by the sum of its powers times relative changes, a sum by that of the changes: both at right angles to `null`.
+    for v in find_sparsest_vectors(common_null_space([null], size)):
+        powers = to_small_integers(v)
+        if is_integer(powers):
+            exponents = powers if (powers > 0).sum() * 2 >= (powers != 0).sum() else -powers
+            yield {tuple(exponents.astype(int).tolist()): Fraction(1)}
+    dimensions = [parse_unit(unit) for unit in units]
+    changes = null * p[:, None]
+    for v in find_sparsest_vectors(common_null_space([changes / np.linalg.norm(changes, axis=0)], size)):
+        signs = to_small_integers(v)
+        places = np.flatnonzero(signs)
+        is_plain = is_integer(signs) and np.abs(signs).max() == 1 and len(places) > 1
+        if is_plain and all(dimensions[k] == dimensions[places[0]] for k in places):
+            yield {tuple((np.arange(size) == k).astype(int).tolist()): Fraction(int(signs[k])) for k in places}
+
+
 def is_determined(slope: np.ndarray, rank: SensitivityRank) -> bool:
     """Whether a formula with this slope (nf,) does not change along any open direction."""
     # Determined: the slope stands at right angles to every open direction.

@@ -36,6 +36,9 @@ class IdentifiabilityCode(StrEnum):
     EXCITATION_ORDER_LOW = "excitation_order_low"
     EXCITATION_BAND_NARROW = "excitation_band_narrow"
 
+    OTHER_ANSWER = "other_answer"
+    EXCHANGEABLE = "exchangeable"
+
     RECORDS_SHOW_FEWER = "records_show_fewer"
     AVERAGING_ONLY = "averaging_only"
     NO_FREE_CONSTANT = "no_free_constant"

@@ -172,30 +172,84 @@ class _NoFormulaError(Exception):
     """The expression is not a sum of products of powers."""
 
 
-def transfer_function_coefficients(system: System) -> list[Polynomial]:
+def transfer_function_coefficients(
+    system: System, outputs: Sequence[int] | None = None, *, at_rest: bool = False
+) -> list[Polynomial]:
     """Coefficients of ``det(s I - A)``, of the numerators of ``C adj(s I - A) B``, and ``D``; plain numbers are left out.
 
-    Empty where there are no such formulas, or only unwieldy ones.
+    Of ``outputs``, by their numbers (None: all). With ``at_rest`` also those of the free response to the declared start and to constant
+    terms, and the delays: together they say all that a record shows. Empty where there are no such formulas, or only unwieldy ones.
     """
-    parts = differentiate_equations(system)
+    zero = ca.substitute(
+        ca.vertcat(system.rhs, system.outputs),
+        ca.vertcat(system.x, system.u),
+        ca.SX.zeros(system.x.numel() + system.u.numel()),
+    )
+    parts = [*differentiate_equations(system), system.start, zero, ca.vertcat(*[d.seconds for d in system.delays])]
     try:
-        matrices: list[list[list[Polynomial]]] = []
-        for part in parts:
-            rows, columns = part.shape
-            if not rows * columns:
-                matrices.append([[] for _ in range(rows)])
-                continue
-            flat = _read(ca.Function("entries", [system.p], [ca.densify(ca.vec(part))]), system.p.numel())
-            matrices.append([[flat[i + rows * j] for j in range(columns)] for i in range(rows)])
-        a, b, c, d = matrices
+        a, b, c, d, start, constant, delays = (_read_matrix(part, system.p) for part in parts)
+        rates, offsets = constant[: len(a)], constant[len(a) :]
+        if outputs is not None:
+            c, d, offsets = ([m[j] for j in outputs] for m in (c, d, offsets))
         characteristic, adjugates = _leverrier(a, system.p.numel())
         result = [*characteristic]
         for m in adjugates:
             result += [entry for row in _times(_times(c, m), b) for entry in row]
         result += [entry for row in d for entry in row]
+        if at_rest:
+            # C R (x0 + c / s) + d / s = (s C adj x0 + C adj c + d det) / (s det), power by power.
+            of_start, of_rates = ([_times(_times(c, m), v) for m in adjugates] for v in (start, rates))
+            nothing: list[list[Polynomial]] = [[{}] for _ in c]
+            whole = zip(
+                [*of_start, nothing],
+                [nothing, *of_rates],
+                [{(0,) * system.p.numel(): Fraction(1)}, *characteristic],
+                strict=True,
+            )
+            for x0, rate, det in whole:
+                result += [
+                    _sum([x[0], r[0], _product_of(o[0], det)]) for x, r, o in zip(x0, rate, offsets, strict=True)
+                ]
+            result += [entry for row in delays for entry in row]
     except _NoFormulaError:
         return []
     return [poly for poly in result if poly and not _constant(poly)]
+
+
+def _read_matrix(part: ca.SX, p: ca.SX) -> list[list[Polynomial]]:
+    """The entries of a matrix of expressions in ``p``. Raises _NoFormulaError."""
+    rows, columns = part.shape
+    if not rows * columns:
+        return [[] for _ in range(rows)]
+    flat = _read(ca.Function("entries", [p], [ca.densify(ca.vec(part))]), p.numel())
+    return [[flat[i + rows * j] for j in range(columns)] for i in range(rows)]
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialValues:
+    """Polynomials to be evaluated at many points at once: ``powers`` (T, np) and ``factors`` (T,) of their terms, ``first`` of each."""
+
+    powers: np.ndarray
+    factors: np.ndarray
+    first: np.ndarray
+
+    @classmethod
+    def of(cls, polynomials: Sequence[Polynomial]) -> PolynomialValues:
+        """The terms of at least one polynomial."""
+        counts = [len(poly) for poly in polynomials]
+        return cls(
+            np.array([e for poly in polynomials for e in poly], float),
+            np.array([float(f) for poly in polynomials for f in poly.values()]),
+            np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int),
+        )
+
+    def at(self, p: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values (S, m) at the parameters ``p`` (S, np), and slopes (S, m, k) along the logarithms of those numbered ``which``."""
+        with np.errstate(all="ignore"):
+            terms = self.factors * np.prod(p[:, None, :] ** self.powers, axis=2)
+            # p dt/dp = e t of a term t = f p^e
+            slopes = terms[:, :, None] * self.powers[:, which]
+            return np.add.reduceat(terms, self.first, axis=1), np.add.reduceat(slopes, self.first, axis=1)
 
 
 def divide(numerator: Polynomial, denominator: Polynomial) -> Polynomial | None:

@@ -55,7 +55,8 @@ def _brief(check: ModelCheck) -> Iterator[doc.Block]:
         yield no_parameters
         return
     verdict = check.doubt if check.structure is None else describe_verdict(check.structure)
-    yield doc.Details(f"identifiability from any record: {verdict}", [_structure_facts(check)])
+    yield doc.Details(f"identifiability from any record: {verdict}{_choice(check)}", [_structure_facts(check)])
+    yield doc.Facts([("note", finding) for finding in check.other_answers])
     if check.failure:
         yield no_parameters
         return
@@ -63,7 +64,7 @@ def _brief(check: ModelCheck) -> Iterator[doc.Block]:
     yield doc.Details(f"expected precision from {records}:", [_precision_table(check), *_combinations(check)])
     yield doc.Facts([("note", finding) for finding in check.practical.findings])
     if check.complete:
-        yield doc.Paragraphs(["every free parameter is determined"])
+        yield doc.Paragraphs([f"every free parameter is determined{_choice(check)}"])
 
 
 def _listed(name: str, lines: Iterable[str]) -> list[tuple[str, str]]:
@@ -124,9 +125,10 @@ def _answer(check: ModelCheck) -> doc.Paragraphs:
         return doc.Paragraphs(
             [
                 f"{'A record such as this one determines' if assumed else 'These records determine'} every free parameter, if the"
-                " model is right."
+                " model is right.",
+                *check.other_answers,
             ],
-            doc.Tone.GOOD,
+            doc.Tone.CAUTION if check.other_answers else doc.Tone.GOOD,
         )
     answer: list[doc.Text] = []
     if check.structure is not None and not check.structure.complete:
@@ -138,6 +140,7 @@ def _answer(check: ModelCheck) -> doc.Paragraphs:
         )
     if check.structure is not None and check.structure.recommendations:
         answer.append(f"Remedy: {check.structure.recommendations[0]}")
+    answer += check.other_answers
     return doc.Paragraphs(answer, doc.Tone.CAUTION)
 
 
@@ -190,6 +193,12 @@ def _formulas(combinations: Mapping[str, float]) -> str:
     return ", ".join(f"{text} ({percent_text(std, 2)})" for text, std in combinations.items())
 
 
+def _choice(check: ModelCheck) -> str:
+    """``, up to an exchange``: what no record decides although each constant is determined."""
+    exchanged = any(finding.values["exchanged"] for finding in check.other_answers)
+    return ", up to an exchange" if exchanged else ", up to a choice" if check.other_answers else ""
+
+
 def _structure(check: ModelCheck) -> Iterator[doc.Block]:
     structure = check.structure
     if structure is None:
@@ -198,6 +207,8 @@ def _structure(check: ModelCheck) -> Iterator[doc.Block]:
     yield doc.Paragraphs([describe_verdict(structure)], doc.Tone.GOOD if structure.complete else doc.Tone.CAUTION)
     if not structure.complete:
         yield _structure_facts(check)
+    if check.other_answers:
+        yield doc.BulletList(list(check.other_answers))
 
 
 def _structure_facts(check: ModelCheck) -> doc.Facts:

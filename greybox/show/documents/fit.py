@@ -71,8 +71,7 @@ def _brief(fit: Fit) -> Iterator[doc.Block]:
     yield from _misfits(fit)
     if kind := _interval_kind(fit):
         yield doc.Facts([("intervals", kind)])
-    # Directions among the same constants are different figures and one sentence.
-    notes = (("note", text) for text in dict.fromkeys(sentences(fit.findings)))
+    notes = (("note", text) for text in sentences(fit.findings))
     yield doc.Facts([("noise", str(fit.noise)), *tables.computation_facts(fit), *notes])
 
 
@@ -229,6 +228,10 @@ def _parameters(fit: Fit, further: Iterable[tuple[str, doc.Block]]) -> Iterator[
     if recommendations:
         yield doc.Subheading("How to determine the other parameters")
         yield doc.BulletList(list(dict.fromkeys(sentences(recommendations))))
+    several = [d for f in fit.findings if len(d := f.values.get("directions", ())) > 1]
+    if several:
+        lines = [_list_weights(direction) for directions in several for direction in directions]
+        yield doc.Details("Relative changes that leave the outputs as they are", [doc.BulletList(lines)])
     intervals = figures.plot_intervals(
         figures.relative_half_widths(fit), "Half width of each 95 % interval: smaller is better."
     )
@@ -240,6 +243,11 @@ def _parameters(fit: Fit, further: Iterable[tuple[str, doc.Block]]) -> Iterator[
         if pairs:
             yield doc.BulletList(pairs)
         yield doc.Details("Correlation of the fitted parameters", [doc.FigureBlock(correlation)])
+
+
+def _list_weights(direction: Mapping[str, float]) -> str:
+    """``a by 1, b by -0.5``."""
+    return ", ".join(f"{name} by {format_number(weight, 3)}" for name, weight in direction.items())
 
 
 def _priors(fit: Fit) -> Iterator[doc.TableBlock]:

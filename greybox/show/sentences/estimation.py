@@ -86,19 +86,27 @@ def write_status(report: SolverReport) -> str:
     return text
 
 
-def write_direction(direction: dict[str, float]) -> str:
-    """An undetermined direction: ``Kf, La, Ra can change together ...``."""
-    names = list(direction)
+# Constants of open directions that a sentence lists; of more it says how many.
+LISTED_CONSTANTS = 6
+
+
+def _write_open(finding: Finding) -> str:
+    """``Kf, La, Ra can change together ...: fix one of them``, and the formulas of theirs that are determined."""
+    v = finding.values
+    names, count = list(v["direction"]), len(v.get("directions", ())) or 1
     if len(names) == 1:
         return f"{names[0]} has no influence on the measured outputs, or none that free initial states could not have"
-    return f"{', '.join(names)} can change together without changing the outputs: fix one of them, or measure another output"
-
-
-def _write_known_combination(finding: Finding) -> str:
-    v = finding.values
-    low, high = map(wording.make_formatter(v["value"], v["std"]), v["interval"])
-    value = wording.format_with_std(v["value"], v["std"])
-    return f"determined all the same: {v['text']} = {value}, 95 % interval [{low}, {high}]"
+    listed = ", ".join(names) if len(names) <= LISTED_CONSTANTS else f"{len(names)} of {v['free']} constants"
+    if count == 1:
+        text = f"{listed} can change together without changing the outputs: fix one of them, or measure another output"
+    else:
+        text = f"{listed} share {count} free directions: fix {count} of them, or measure other outputs"
+    determined = []
+    for f in v.get("determined", ()):
+        low, high = map(wording.make_formatter(f["value"], f["std"]), f["interval"])
+        value = wording.with_unit(wording.format_with_std(f["value"], f["std"]), f["unit"])
+        determined.append(f"{f['text']} = {value}, 95 % interval [{low}, {high}]")
+    return text + (f"; determined: {', '.join(determined)}" if determined else "")
 
 
 def _write_misfit_ratio(finding: Finding) -> str:
@@ -165,6 +173,15 @@ def _write_shifts(finding: Finding) -> str:
     several = len(finding.values["shifts"]) > 1
     words = "they compensate" if several else "it compensates"
     return f"not constant: {shifts}; {words} for an effect that the model lacks, or the plant changes"
+
+
+def _write_limit(finding: Finding) -> str:
+    v, name = finding.values, finding.subject
+    side, limit = ("lower", "an upper limit") if v["is_upper"] else ("upper", "a lower limit")
+    if v["limit"] is None:
+        return f"{name} is at its {side} bound, and the records set no {limit.partition(' ')[2]} to it"
+    value = wording.value_with_unit(v["limit"], v["unit"], 3)
+    return f"{name} is at its {side} bound; the records set {limit} of {value} (95 %)"
 
 
 def _write_narrowed(finding: Finding) -> str:
@@ -406,10 +423,7 @@ register(
             " (model.start(...), shell: --start)"
         ),
         EstimationCode.MODEL_DOES_NOT_FOLLOW: _write_other_plant,
-        EstimationCode.DIRECTION_UNDETERMINED: lambda f: (
-            f"not determined by these data: {write_direction(f.values['direction'])}"
-        ),
-        EstimationCode.COMBINATION_DETERMINED: _write_known_combination,
+        EstimationCode.DIRECTION_UNDETERMINED: lambda f: f"not determined by these data: {_write_open(f)}",
         EstimationCode.NO_FREEDOM: (
             "{readings} readings for {unknowns} constants and first states: nothing is left that would tell the noise, so no interval can"
             " be given; tell the noise (--noise), or record more rows"
@@ -417,6 +431,7 @@ register(
         EstimationCode.STOPPED_BY_BOUND: lambda f: (
             f"stopped by a bound: {', '.join(f.values['parameters'])}; widen the bound, or add the effect that the model lacks"
         ),
+        EstimationCode.LIMITED_FROM_BOUND: _write_limit,
         EstimationCode.NARROWED_BY_BOUND: _write_narrowed,
         EstimationCode.PARAMETER_UNDETERMINED: lambda f: (
             f"not determined (the 95 % interval exceeds half the value): {', '.join(f.values['parameters'])}"
@@ -687,7 +702,7 @@ LEAST_NARROWING = 3.0
 def write_profile(profile: Profile) -> str:
     """``K: 7000 N/m, 95 % by profile likelihood [6988, 7012]; bounded``, and below it what is to be known of the shape."""
     sides = [
-        f"{v:.5g}{' (open)' if is_open else ''}"
+        f"{v:.5g}{(' (its bound)' if v == profile.best else ' (open)') if is_open else ''}"
         for v, is_open in zip(profile.interval, profile.open_sides, strict=True)
     ]
     value = f"{profile.name}: {wording.value_with_unit(profile.best, profile.unit, 5)}"
@@ -696,12 +711,18 @@ def write_profile(profile: Profile) -> str:
 
 def explain_profile(profile: Profile) -> list[str]:
     """The shape of a profile in words, whether it is to be taken in place of the covariance, and which constant makes it so."""
+    (low, high), open_sides = profile.interval, profile.open_sides
     shape = {
         "bounded": "bounded on both sides",
-        "one_sided": f"one-sided: the records set no {'lower' if profile.open_sides[0] else 'upper'} limit",
+        "one_sided": f"one-sided: the records set no {'lower' if open_sides[0] else 'upper'} limit",
         "flat": "flat: the records set no limit on either side",
         "two_valleys": "two valleys",
     }[profile.shape]
+    # At its bound there is one side to be followed.
+    if profile.shape == "one_sided" and profile.best in (low, high):
+        side, other = ("lower", "upper") if profile.best == low else ("upper", "lower")
+        limit = wording.value_with_unit(high if profile.best == low else low, profile.unit, 5)
+        shape = f"at its {side} bound: the records set an {other} limit of {limit}".replace("an lower", "a lower")
     if profile.valley is not None:
         value, rise = profile.valley
         place = wording.value_with_unit(value, profile.unit, 5)

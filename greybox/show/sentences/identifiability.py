@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from greybox.base import Finding
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode
 from greybox.show.sentences.registry import register, renders, sentence
-from greybox.show.sentences.wording import join_names
+from greybox.show.sentences.wording import format_with_std, join_names, value_with_unit, with_unit
 
 if TYPE_CHECKING:
     from greybox.estimation.identifiability import Excitation, OpenDirection, StructuralIdentifiability
@@ -62,6 +62,34 @@ def _recommend_richer_record(finding: Finding) -> str:
     )
 
 
+def _name_exchanged(v: Mapping[str, Any]) -> str:
+    """``ka and ke may change places (V with them)``."""
+    if not v["exchanged"]:
+        return f"there is another answer for {join_names(list(v['values']))}"
+    others = f" ({join_names(v['others'])} with them)" if v["others"] else ""
+    return f"{join_names(v['exchanged'])} may change places{others}"
+
+
+def _write_other_answer(finding: Finding) -> str:
+    """Another set of values that makes the same run, and what decides."""
+    v = finding.values
+    values = ", ".join(f"{name} = {value_with_unit(value, v['units'][name], 4)}" for name, value in v["values"].items())
+    sensor = f"a sensor for {' or '.join(v['told_by'])}" if v["told_by"] else "another sensor"
+    more = f" ({v['count']} such answers)" if v["count"] > 1 else ""
+    return f"{_name_exchanged(v)}: {values} makes the same run{more}; a bound, a prior or {sensor} decides"
+
+
+def _write_exchangeable(finding: Finding) -> str:
+    v = finding.values
+    sums = [
+        f"{' + '.join(s['constants'])} = {with_unit(format_with_std(s['value'], s['std']), s['unit'])}"
+        for s in v["sums"]
+    ]
+    where = "are equal within their intervals" if v["equal"] else "are near one another, so that their intervals are"
+    told = f"; better determined: {', '.join(sums)}" if sums else ""
+    return f"{_name_exchanged(v)} and {where}{', which are' * v['equal']} by profile likelihood{told}"
+
+
 def _simulated_record(finding: Finding) -> str:
     v = finding.values
     drive = ", ".join(
@@ -78,6 +106,8 @@ register(
         IdentifiabilityCode.ADD_SENSOR: _recommend_signals,
         IdentifiabilityCode.FIX_CONSTANTS: lambda f: describe_closing(f.values),
         IdentifiabilityCode.RICHER_RECORD: _recommend_richer_record,
+        IdentifiabilityCode.OTHER_ANSWER: _write_other_answer,
+        IdentifiabilityCode.EXCHANGEABLE: _write_exchangeable,
         IdentifiabilityCode.NO_INPUT_MOVES: "no input moves: only the response to the initial state carries information",
         IdentifiabilityCode.EXCITATION_ORDER_LOW: lambda f: (
             f"{', '.join(f.values['inputs'])}: persistently exciting of order {f.values['order']}, but the model has"

@@ -25,12 +25,6 @@ ONE, TWO = {"parameters": ["K"]}, {"parameters": ["K", "B"]}
 
 GOLDEN = [
     (
-        "combination_determined",
-        "",
-        {"text": "a - b", "value": 1.27153, "std": 0.0022, "interval": [1.2672, 1.2757]},
-        "determined all the same: a - b = 1.2715 +- 0.0022, 95 % interval [1.2672, 1.2757]",
-    ),
-    (
         "no_freedom",
         "",
         {"readings": 3, "unknowns": 3},
@@ -128,6 +122,44 @@ GOLDEN = [
         "",
         {"direction": {"Kf": 1.0, "La": 0.5}},
         "not determined by these data: Kf, La can change together without changing the outputs: fix one of them, or measure another output",
+    ),
+    (
+        "direction_undetermined",
+        "",
+        {
+            "direction": {"a": 1.0, "b": 1.0},
+            "directions": [{"a": 1.0, "b": 1.0}],
+            "free": 3,
+            "determined": [
+                {"text": "a - b", "value": 1.2695, "std": 0.0021, "interval": [1.2654, 1.2736], "unit": "V"}
+            ],
+        },
+        "not determined by these data: a, b can change together without changing the outputs: fix one of them, or measure another output;"
+        " determined: a - b = 1.2695 +- 0.0021 V, 95 % interval [1.2654, 1.2736]",
+    ),
+    (
+        "direction_undetermined",
+        "",
+        {"direction": {f"p{k}": 1.0 for k in range(20)}, "directions": [{"p1": 1.0}] * 9, "free": 22, "determined": []},
+        "not determined by these data: 20 of 22 constants share 9 free directions: fix 9 of them, or measure other outputs",
+    ),
+    (
+        "direction_undetermined",
+        "",
+        {"direction": dict.fromkeys("abc", 1.0), "directions": [{"a": 1.0}] * 2, "free": 4, "determined": []},
+        "not determined by these data: a, b, c share 2 free directions: fix 2 of them, or measure other outputs",
+    ),
+    (
+        "limited_from_bound",
+        "c",
+        {"limit": 0.0503, "unit": "1/s", "is_upper": True},
+        "c is at its lower bound; the records set an upper limit of 0.0503 1/s (95 %)",
+    ),
+    (
+        "limited_from_bound",
+        "c",
+        {"limit": None, "unit": "1/s", "is_upper": False},
+        "c is at its upper bound, and the records set no lower limit to it",
     ),
     ("stopped_by_bound", "", TWO, "stopped by a bound: K, B; widen the bound, or add the effect that the model lacks"),
     (

@@ -11,6 +11,14 @@ from greybox.show.sentences.identifiability import describe_closing
 from greybox.show.sentences.registry import sentence
 
 ONE = {"missing": 1, "constants": ["M", "B"], "relations": [{"constants": ["Kf", "Kv"], "equal": True}]}
+TWIN = {
+    "exchanged": ["ka", "ke"],
+    "others": ["V"],
+    "values": {"ka": 0.055, "ke": 1.8, "V": 0.0113},
+    "units": {"ka": "1/h", "ke": "1/h", "V": "l"},
+}
+SUM = {"constants": ["tau1", "tau2"], "value": 0.30017, "std": 0.00051, "interval": [0.2992, 0.3012], "unit": "s"}
+LAGS = {"exchanged": ["tau1", "tau2"], "others": [], "values": {"tau1": 0.13, "tau2": 0.17}, "sums": [SUM]}
 GOLDEN = {
     IdentifiabilityCode.MEASURE_OUTPUT: (
         "",
@@ -56,6 +64,18 @@ GOLDEN = {
         "1 of 3 combinations are determined only by averaging the noise, which requires white noise and a model error far below"
         " the noise: do not rely on them",
     ),
+    IdentifiabilityCode.OTHER_ANSWER: (
+        "",
+        TWIN | {"told_by": ["depot"], "count": 1},
+        "ka and ke may change places (V with them): ka = 0.055 1/h, ke = 1.8 1/h, V = 0.0113 l makes the same run; a bound, a prior or"
+        " a sensor for depot decides",
+    ),
+    IdentifiabilityCode.EXCHANGEABLE: (
+        "",
+        LAGS | {"equal": True},
+        "tau1 and tau2 may change places and are equal within their intervals, which are by profile likelihood; better determined:"
+        " tau1 + tau2 = 0.30017 +- 0.00051 s",
+    ),
     IdentifiabilityCode.NO_FREE_CONSTANT: ("", {}, "no parameter is free: nothing to determine"),
     IdentifiabilityCode.MODEL_OVERFLOWS: (
         "run",
@@ -74,6 +94,19 @@ GOLDEN = {
 def test_each_code_has_its_sentence(code):
     subject, values, text = GOLDEN[code]
     assert sentence(Finding(code, subject=subject, values=values)) == text
+
+
+def test_other_answers_without_an_exchange_and_several_of_them():
+    square = {"exchanged": [], "others": ["q"], "values": {"q": 0.2}, "units": {"q": "1"}, "told_by": [], "count": 3}
+    text = sentence(Finding(IdentifiabilityCode.OTHER_ANSWER, values=square))
+    assert text == (
+        "there is another answer for q: q = 0.2 makes the same run (3 such answers); a bound, a prior or another sensor decides"
+    )
+    text = sentence(Finding(IdentifiabilityCode.EXCHANGEABLE, values=LAGS | {"equal": False, "sums": []}))
+    assert (
+        text
+        == "tau1 and tau2 may change places and are near one another, so that their intervals are by profile likelihood"
+    )
 
 
 def test_a_model_without_an_input_is_not_told_to_use_another_one():
