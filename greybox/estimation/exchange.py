@@ -76,9 +76,9 @@ def find_exchange(optimum: SimulationOptimum, options: FitOptions) -> Exchange |
     )
     twins = []
     for twin in find_twins(objective.problem):
-        there = v.with_values(twin.values)
+        twin_variables = v.with_values(twin.values)
         # Constants that are held have lost their priors, which may have decided.
-        cost = settle(objective.problem, there.base, everything).cost + there.penalty(v.here)[0]
+        cost = settle(objective.problem, twin_variables.base, everything).cost + twin_variables.penalty(v.here)[0]
         if cost <= optimum.evaluation.cost + AS_GOOD * unit:
             twins.append(twin)
     near = [twin for twin in twins if _measure_distance(optimum.covariance, v, twin) < TWIN_REACH]

@@ -673,12 +673,12 @@ def _keeps_the_run(optimum: Optimum, places: np.ndarray, poly: Polynomial) -> bo
     if len(poly) == 1:
         (first, second) = next(iter(poly))
         # p1^a p2^b stays.
-        there = other * math.exp(-FORMULA_STEP * first / second) if second else other
+        follows = other * math.exp(-FORMULA_STEP * first / second) if second else other
     else:
-        there = other - float(poly[0, 1]) * (moved - one)
-    if np.sign(there) != np.sign(other):
+        follows = other - float(poly[0, 1]) * (moved - one)
+    if np.sign(follows) != np.sign(other):
         return True
-    values = {v.names[places[0]]: moved, v.names[places[1]]: there}
+    values = {v.names[places[0]]: moved, v.names[places[1]]: follows}
     cost, count = optimum.evaluation.cost, optimum.evaluation.count
     evaluation = optimum.objective.at(v.with_values(values)).evaluate(v.here)
     return bool(evaluation.cost - cost <= FORMULA_RISE * max(abs(cost) / max(count - v.size, 1), 1.0))

@@ -11,15 +11,10 @@ from typing import Any
 import numpy as np
 
 from greybox.base import Finding, Printable, parse_unit
-from greybox.base.linear_algebra import DIRECTION_RANK, are_independent, decompose_columns
+from greybox.base.linear_algebra import DIRECTION_RANK, ScaledDecomposition, are_independent, decompose_columns
 from greybox.base.numerics import DIRECTION_CUTOFF, EXPONENT_AGREEMENT
 from greybox.estimation.identifiability import transfer_functions
-from greybox.estimation.identifiability.sensitivity import (
-    IdentifiabilityCode,
-    Sensitivity,
-    SensitivityRank,
-    highest_ranks,
-)
+from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode, Sensitivity, highest_ranks
 from greybox.model import Model
 
 # Open directions in words: which constants can change together without any change of the outputs.
@@ -50,18 +45,17 @@ class OpenDirection(Printable):
         return tuple(self.weights)
 
 
-def find_open_directions(ranks: Sequence[SensitivityRank], names: Sequence[str]) -> list[OpenDirection]:
+def find_open_directions(ranks: Sequence[ScaledDecomposition], names: Sequence[str]) -> list[OpenDirection]:
     """The open directions, as many as there are, each with as few constants as possible; scalings first."""
-    size = ranks[0].null.shape[1]
+    null = ranks[0].null_basis
+    size = null.shape[1]
     chosen: list[np.ndarray] = []
     directions = []
     # At one point alone every direction is the same everywhere: whole exponents show a scaling there.
-    common = common_null_space([r.row for r in ranks], size)
+    common = common_null_space([r.row_basis for r in ranks], size)
     powers = (to_small_integers(v) for v in find_sparsest_vectors(common))
     scalings = (OpenDirection(_name_weights(v, names), True) for v in powers if len(ranks) > 1 or is_integer(v))
-    trades = (
-        OpenDirection(_name_weights(v / np.abs(v).max(), names), False) for v in find_sparsest_vectors(ranks[0].null)
-    )
+    trades = (OpenDirection(_name_weights(v / np.abs(v).max(), names), False) for v in find_sparsest_vectors(null))
     for direction in itertools.chain(scalings, trades):
         if len(chosen) == size:
             break
@@ -167,19 +161,19 @@ class ParameterCombination:
 
 
 def find_determined_combinations(
-    model: Model, ranks: Sequence[SensitivityRank], points: Sequence[np.ndarray]
+    model: Model, nulls: Sequence[np.ndarray], points: Sequence[np.ndarray]
 ) -> list[ParameterCombination]:
     """Independent combinations that every point determines, the plainest first; at most as many as the rank.
 
-    ``points`` (np,): the parameters at which ``ranks`` were found. Products of powers are found for every model, sums
+    ``nulls`` (nf, k): bases of the open directions at the parameters ``points`` (np,). Products of powers are found for every model, sums
     for linear ones, among the coefficients of their transfer functions.
     """
     which, names = free_parameter_indices(model), list(model.values)
     chosen: list[ParameterCombination] = []
     slopes: list[np.ndarray] = []
-    candidates = [*find_product_combinations(model, ranks), *find_transfer_function_combinations(model)]
+    candidates = [*find_product_combinations(model, nulls), *find_transfer_function_combinations(model)]
     for plain in sorted(candidates, key=simplicity_key):
-        if len(chosen) == ranks[0].rank:
+        if len(chosen) == len(which) - nulls[0].shape[1]:
             break
         candidate, alone = plain, [names.index(c.text) for c in chosen if c.text in names]
         # A sum without the factors that are determined by themselves: K + Ks for (K + Ks)/La.
@@ -189,7 +183,7 @@ def find_determined_combinations(
                 transfer_functions.format_polynomial(poly, names), poly, plain.is_coefficient
             )
         at = [candidate.slope(p, which) for p in points]
-        if not all(is_determined(s, r) for s, r in zip(at, ranks, strict=True)):
+        if not all(is_determined(slope, null) for slope, null in zip(at, nulls, strict=True)):
             continue
         if are_independent([*slopes, at[0]]):
             chosen.append(candidate)
@@ -202,17 +196,23 @@ def free_parameter_indices(model: Model) -> np.ndarray:
     return np.array([k for k, q in enumerate(model.all_parameters) if not q.fixed], int)
 
 
-def find_product_combinations(model: Model, ranks: Sequence[SensitivityRank]) -> Iterator[ParameterCombination]:
-    """Products of powers that do not change along any open direction, at any point."""
+def find_product_combinations(model: Model, nulls: Sequence[np.ndarray]) -> Iterator[ParameterCombination]:
+    """Products of powers that do not change along any open direction, of which ``nulls`` (nf, k) are bases at one or more points."""
     which, names = free_parameter_indices(model), list(model.values)
-    for v in find_sparsest_vectors(common_null_space([r.null for r in ranks], len(which))):
+    for powers in _find_powers(nulls, len(which)):
+        whole = np.zeros(len(names), int)
+        whole[which] = powers
+        poly = {tuple(whole.tolist()): Fraction(1)}
+        yield ParameterCombination(transfer_functions.format_polynomial(poly, names), poly)
+
+
+def _find_powers(nulls: Sequence[np.ndarray], size: int) -> Iterator[np.ndarray]:
+    """Small whole exponents (size,) at right angles to all ``nulls`` (size, k)."""
+    for v in find_sparsest_vectors(common_null_space(nulls, size)):
         powers = to_small_integers(v)
         if is_integer(powers):
-            whole = np.zeros(len(names), int)
             # A quotient with the positive powers in front is what people call it.
-            whole[which] = powers if (powers > 0).sum() * 2 >= (powers != 0).sum() else -powers
-            poly = {tuple(whole.tolist()): Fraction(1)}
-            yield ParameterCombination(transfer_functions.format_polynomial(poly, names), poly)
+            yield (powers if (powers > 0).sum() * 2 >= (powers != 0).sum() else -powers).astype(int)
 
 
 def find_transfer_function_combinations(model: Model) -> list[ParameterCombination]:
@@ -252,27 +252,22 @@ def find_determined_formulas(
     if not 0 < size <= FORMULA_CONSTANTS or not p.all():
         return
     # A product changes by the sum of its powers times relative changes, a sum by that of the changes: both at right angles to `null`.
-    for v in find_sparsest_vectors(common_null_space([null], size)):
-        powers = to_small_integers(v)
-        if is_integer(powers):
-            exponents = powers if (powers > 0).sum() * 2 >= (powers != 0).sum() else -powers
-            yield {tuple(exponents.astype(int).tolist()): Fraction(1)}
+    for powers in _find_powers([null], size):
+        yield {tuple(powers.tolist()): Fraction(1)}
     dimensions = [parse_unit(unit) for unit in units]
     changes = null * p[:, None]
-    for v in find_sparsest_vectors(common_null_space([changes / np.linalg.norm(changes, axis=0)], size)):
-        signs = to_small_integers(v)
+    for signs in _find_powers([changes / np.linalg.norm(changes, axis=0)], size):
         places = np.flatnonzero(signs)
-        is_plain = is_integer(signs) and np.abs(signs).max() == 1 and len(places) > 1
-        if is_plain and all(dimensions[k] == dimensions[places[0]] for k in places):
+        if np.abs(signs).max() == 1 < len(places) and all(dimensions[k] == dimensions[places[0]] for k in places):
             yield {tuple((np.arange(size) == k).astype(int).tolist()): Fraction(int(signs[k])) for k in places}
 
 
-def is_determined(slope: np.ndarray, rank: SensitivityRank) -> bool:
-    """Whether a formula with this slope (nf,) does not change along any open direction."""
+def is_determined(slope: np.ndarray, null: np.ndarray) -> bool:
+    """Whether a formula with this slope (nf,) does not change along any open direction, of which ``null`` (nf, k) is a basis."""
     # Determined: the slope stands at right angles to every open direction.
     size = np.linalg.norm(slope)
     return bool(
-        np.isfinite(size) and size > DIRECTION_CUTOFF and np.linalg.norm(rank.null.T @ slope) < DIRECTION_CUTOFF * size
+        np.isfinite(size) and size > DIRECTION_CUTOFF and np.linalg.norm(null.T @ slope) < DIRECTION_CUTOFF * size
     )
 
 
@@ -300,12 +295,12 @@ def find_recommendations(
     ``others``: outputs of the model that are not measured; ``sensors``: states that have no output.
     """
     names = [q.name for q in model.free_parameters]
-    present = highest_ranks(points, measured)[0]
-    if not present.null.shape[1]:
+    present = next(iter(highest_ranks(points, measured).values()))
+    if not present.weak.shape[1]:
         return []
     findings = []
     for code, added in ((IdentifiabilityCode.MEASURE_OUTPUT, others), (IdentifiabilityCode.ADD_SENSOR, sensors)):
-        ranks = {o: highest_ranks(points, [*measured, o])[0] for o in added}
+        ranks = {o: next(iter(highest_ranks(points, [*measured, o]).values())) for o in added}
         best = max((r.rank for r in ranks.values()), default=present.rank)
         if best == present.rank:
             continue
@@ -320,23 +315,23 @@ def find_recommendations(
 MAX_RELATIONS = 3
 
 
-def find_closing_constants(model: Model, names: Sequence[str], rank: SensitivityRank) -> dict[str, Any]:
+def find_closing_constants(model: Model, names: Sequence[str], rank: ScaledDecomposition) -> dict[str, Any]:
     """Which constants to fix, and which relations would do as well; empty where nothing is missing.
 
     ``missing``: how many; ``constants``: where one is missing those of which any closes the gap, else a set that closes all of
     them; ``relations``: pairs of constants of one dimension, ``equal`` where they have the same value now.
     """
-    missing = rank.null.shape[1]
+    null, missing = rank.null_basis, rank.weak.shape[1]
     if not missing:
         return {}
     easy = {q.name for q in model.free_parameters if q.role in EASILY_MEASURED}
-    sets = find_closing_sets(rank.null)
+    sets = find_closing_sets(null)
     if missing == 1:
         constants = [names[k] for (k,) in sorted(sets)]
     else:
         sets = sorted(sets, key=lambda s: -len(easy & {names[k] for k in s}))
         constants = [names[k] for k in sets[0]] if sets else []
-    relations = find_closing_relations(model, names, rank.null)
+    relations = find_closing_relations(model, names, null)
     equal = [relation for relation in relations if relation["equal"]]
     return {"missing": missing, "constants": constants, "relations": equal[:MAX_RELATIONS] or relations[:1]}
 

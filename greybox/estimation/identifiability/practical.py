@@ -21,7 +21,7 @@ from greybox.estimation.identifiability.combinations import (
     simplicity_key,
 )
 from greybox.estimation.identifiability.excitation import Excitation, analyse_excitation
-from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode, SensitivityRank, compute_rank
+from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity
 from greybox.estimation.options import FitOptions
@@ -263,15 +263,14 @@ def _choose_combinations(
     model, names = problem.model, list(structure.constants)
     scalings = [[d.weights.get(name, 0.0) for name in names] for d in structure.directions]
     basis = orthonormalise(np.array(scalings).reshape(-1, len(names)).T)
-    rank = SensitivityRank(structure.rank, basis, basis[:, :0], np.zeros(0), 1.0, True)
-    formulas = list(find_product_combinations(model, [rank]))
+    formulas = list(find_product_combinations(model, [basis]))
     if model.system.linear:
         generator = np.random.default_rng(0)
         slopes = np.where(p[which] != 0, p[which], 1.0)
         sensitivity = compute_transfer_function_sensitivity(
             model.system, p, which, slopes, structure.at_rest, generator
         )
-        present = compute_rank(sensitivity, structure.outputs)
+        present = sensitivity.decompose(structure.outputs).without_doubtful().null_basis
         formulas += find_transfer_function_combinations(model)
         formulas = [c for c in formulas if is_determined(c.slope(p, which), present)]
     candidates = []

@@ -157,17 +157,14 @@ RANDOM_EXPERIMENT_TRIES = 20
 
 
 def draw_constants(
-    model: Model,
-    generator: np.random.Generator,
-    spread: float = RANDOM_EXPERIMENT_CONSTANT_SPREAD,
-    tries: int = RANDOM_EXPERIMENT_TRIES,
+    model: Model, generator: np.random.Generator, spread: float = RANDOM_EXPERIMENT_CONSTANT_SPREAD
 ) -> np.ndarray:
     """All parameters (np,): free ones at random within ``e^spread`` times their values, fixed ones as they are.
 
     Inside bounds and rules; where these leave no room the spread shrinks, down to the values themselves.
     """
     parameters = model.all_parameters
-    for _ in range(tries):
+    for _ in range(RANDOM_EXPERIMENT_TRIES):
         draw = generator.uniform(-1.0, 1.0, len(parameters))
         p = [q.value for q in parameters]
         for k, q in enumerate(parameters):
@@ -224,39 +221,16 @@ class Sensitivity:
         return np.linalg.norm(np.vstack([self.blocks[name][1] for name in outputs]), axis=0)
 
 
-@dataclass(frozen=True, eq=False)
-class SensitivityRank:
-    """``rank`` of the sensitivities; ``null`` (np, k) and ``row`` (np, rank) span what is open and what is determined.
+def highest_ranks(points: Sequence[Sensitivity], outputs: Sequence[str]) -> dict[int, ColumnDecomposition]:
+    """Number of a point -> its decomposition with only ``outputs`` measured and what is doubtful left out, where the rank is highest.
 
-    ``values`` are the singular values, ``gap`` the ratio of the last that counts to the first that does not. ``certain``
-    is false where one lies between rounding and information. ``point`` numbers the point.
+    Among the points that are certain if there are any.
     """
-
-    rank: int
-    null: np.ndarray
-    row: np.ndarray
-    values: np.ndarray
-    gap: float
-    certain: bool
-    point: int = 0
-
-
-def compute_rank(point: Sensitivity, outputs: Sequence[str]) -> SensitivityRank:
-    """Rank at one point, with only ``outputs`` measured."""
-    columns = point.decompose(outputs)
-    certain = columns.without_doubtful()
-    return SensitivityRank(
-        certain.rank, certain.null_basis, certain.row_basis, columns.values, certain.gap, columns.is_certain
-    )
-
-
-def highest_ranks(points: Sequence[Sensitivity], outputs: Sequence[str]) -> list[SensitivityRank]:
-    """The ranks at the generic points: where it is highest, among those that are certain if there are any."""
-    ranks = [replace(compute_rank(point, outputs), point=k) for k, point in enumerate(points)]
+    ranks = {k: point.decompose(outputs).without_doubtful() for k, point in enumerate(points)}
     # Rank drops on special points alone: the highest one that was seen is that of almost all.
-    ranks = [r for r in ranks if r.certain] or ranks
-    highest = max(r.rank for r in ranks)
-    return [r for r in ranks if r.rank == highest]
+    ranks = {k: r for k, r in ranks.items() if r.is_certain} or ranks
+    highest = max(r.rank for r in ranks.values())
+    return {k: r for k, r in ranks.items() if r.rank == highest}
 
 
 # Sensitivities of any other model: free runs over records with a rich random input, differentiated by the kernel.
@@ -294,9 +268,7 @@ def compute_free_run_sensitivities(
             continue
         generator = np.random.default_rng((seed, k))
         # Where runs overflow or touch bounds, points nearer to the nominal one are tried.
-        p = draw_constants(
-            model, generator, RANDOM_EXPERIMENT_CONSTANT_SPREAD / 4 ** (k // count), RANDOM_EXPERIMENT_TRIES
-        )
+        p = draw_constants(model, generator, RANDOM_EXPERIMENT_CONSTANT_SPREAD / 4 ** (k // count))
         point = _compute_point(set_parameters(model, p), at_rest, amplitude, generator)
         if point is not None:
             # Cut off at a bound the slopes are those of other equations.

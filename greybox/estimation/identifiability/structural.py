@@ -158,18 +158,21 @@ def analyse_structural_identifiability(
         method = "free runs with a random input"
         pairs = compute_free_run_sensitivities(measurable, at_rest, seed, IDENTIFIABILITY_POINTS)
     points, values = [sensitivity for sensitivity, _ in pairs], [p for _, p in pairs]
-    ranks = highest_ranks(points, measured)
+    highest = highest_ranks(points, measured)
+    ranks = list(highest.values())
     others = [name for name in known if name not in measured]
     directions = find_open_directions(ranks, names)
     # What would show a change along a direction: outputs with which it does not stay among the open ones.
-    null = {o: highest_ranks(points, [*measured, o])[0].null for o in (others if directions else ())}
+    null = {
+        o: next(iter(highest_ranks(points, [*measured, o]).values())).null_basis for o in (others if directions else ())
+    }
     seen = []
     for d in directions:
         v = np.array([d.weights.get(name, 0.0) for name in names])
         left = {o: np.linalg.norm(v - n @ (n.T @ v)) for o, n in null.items()}
         revealing = tuple(o for o in others if left[o] > DIRECTION_CUTOFF * np.linalg.norm(v))
         seen.append(replace(d, seen_by=revealing))
-    combinations = find_determined_combinations(model, ranks, [values[r.point] for r in ranks])
+    combinations = find_determined_combinations(model, [r.null_basis for r in ranks], [values[k] for k in highest])
     return StructuralIdentifiability(
         *common,
         ranks[0].rank,
@@ -178,7 +181,7 @@ def analyse_structural_identifiability(
         tuple(c.text for c in combinations) if directions else names,
         tuple(find_recommendations(model, points, measured, others, sensors)),
         min(r.gap for r in ranks),
-        ranks[0].certain,
+        ranks[0].is_certain,
         method,
     )
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base import Finding, Printable, Severity, parse_unit
+from greybox.base import Finding, Severity, parse_unit
 from greybox.base.linear_algebra import COLUMN_RANK, decompose_columns
 from greybox.base.values import ReadOnly
 from greybox.estimation.covariance import decompose_information
@@ -34,7 +34,7 @@ from greybox.model import System
 
 
 @dataclass(frozen=True)
-class Twin(Printable, ReadOnly):
+class Twin(ReadOnly):
     """Other values of the constants that make the same run.
 
     Attributes
@@ -94,9 +94,9 @@ def find_twins(problem: EstimationProblem) -> tuple[Twin, ...]:
             continue
         half = base.copy()
         half[moved[:1]] = root[moved[:1]]
-        there = settle(apart, root, everything)
+        settled = settle(apart, root, everything)
         # What is left of the difference, over what one of the constants alone makes of it.
-        if not there.cost <= TWIN_RUN * settle(apart, half, everything).cost:
+        if not settled.cost <= TWIN_RUN * settle(apart, half, everything).cost:
             continue
         values = v.base * factors
         for i, j in pairs:
@@ -109,30 +109,30 @@ def find_twins(problem: EstimationProblem) -> tuple[Twin, ...]:
                     {v.names[k]: float(values[k]) for k in moved},
                     tuple((v.names[i], v.names[j]) for i, j in pairs),
                     {v.names[k]: v.quantities[k].unit for k in moved},
-                    tuple(_list_other_states(apart, there.variables)),
+                    tuple(_list_other_states(apart, settled.variables)),
                 )
             )
     return tuple(twins)
 
 
-def _find_open(own: EstimationProblem) -> np.ndarray:
+def _find_open(problem: EstimationProblem) -> np.ndarray:
     """Which constants (nf,) an open direction touches."""
-    v = own.variables
-    return decompose_information(v, own.shooting(v).evaluate(v.here).hessian / 2).is_open
+    v = problem.variables
+    return decompose_information(v, problem.shooting(v).evaluate(v.here).hessian / 2).is_open
 
 
 # Share of its movement by which a state must run otherwise for a sensor to show it.
 OTHER_RUN = 1e-3
 
 
-def _list_other_states(own: EstimationProblem, there: DecisionVector) -> list[str]:
+def _list_other_states(problem: EstimationProblem, twin: DecisionVector) -> list[str]:
     """States without an output that run otherwise at a twin."""
-    here, runs = (own.shooting(v).simulate(v.here) for v in (own.variables, there))
-    names, different = own.model.system.state_names, set[str]()
-    for (_, x), (_, other) in zip(here, runs, strict=True):
+    runs, twin_runs = (problem.shooting(v).simulate(v.here) for v in (problem.variables, twin))
+    names, different = problem.model.system.state_names, set[str]()
+    for (_, x), (_, other) in zip(runs, twin_runs, strict=True):
         moved = np.abs(x - other).max(axis=0) > OTHER_RUN * np.abs(x).max(axis=0)
         different |= {names[k] for k in np.flatnonzero(moved)}
-    return [name for name in find_unmeasured_states(own.model) if name in different]
+    return [name for name in find_unmeasured_states(problem.model) if name in different]
 
 
 def find_other_answers(twins: Sequence[Twin]) -> list[Finding]:
@@ -199,8 +199,8 @@ def spread_alike(base: np.ndarray, alike: list[tuple[int, int]]) -> np.ndarray:
 @lru_cache(maxsize=32)
 def _polynomials(system: System, outputs: tuple[int, ...], at_rest: bool) -> PolynomialValues | None:
     """What the ``outputs`` of a linear system show of its constants, as polynomials; None where there are no such formulas."""
-    found = transfer_function_coefficients(system, outputs, at_rest=at_rest) if system.linear else []
-    return PolynomialValues.of(found) if found else None
+    polynomials = transfer_function_coefficients(system, outputs, at_rest=at_rest) if system.linear else []
+    return PolynomialValues.of(polynomials) if polynomials else None
 
 
 def _coefficients(problem: EstimationProblem) -> PolynomialValues | None:
@@ -303,12 +303,12 @@ def find_roots(
         damping = np.where(better, damping / DAMPING_FACTOR, damping * DAMPING_FACTOR)
         if not (cost[np.isfinite(cost)] > (0.01 * ROOT_SIZE) ** 2).any():
             break
-    found = [base]
+    roots = [base]
     for point in points[cost < ROOT_SIZE**2 * len(moving)]:
         with np.errstate(all="ignore"):
-            apart = [np.nanmax(np.abs(point / other - 1)) > SAME_ROOT for other in found]
+            apart = [np.nanmax(np.abs(point / other - 1)) > SAME_ROOT for other in roots]
         if all(apart):
-            found.append(point)
+            roots.append(point)
             yield point
 
 
@@ -317,24 +317,27 @@ def find_roots(
 
 # Exchanges that are tried at most: each takes a run with its slopes.
 MAX_EXCHANGES = 15
+# Samples of each record that they are looked at over; what promises to be a twin there is run over the whole.
+EXCHANGE_SAMPLES = 2000
 # Share of the difference (squared) that the other constants must promise to take away for an exchange to be followed.
 PROMISING = 0.05
 
 
-def _try_exchanges(own: EstimationProblem, alike: list[tuple[int, int]]) -> Iterator[np.ndarray]:
-    """Values (nf,) at which the run may be that of ``own``: two constants in each other's place, or one of the other sign."""
-    v = own.variables
+def _try_exchanges(problem: EstimationProblem, alike: list[tuple[int, int]]) -> Iterator[np.ndarray]:
+    """Values (nf,) at which the run may be that of ``problem``: two constants in each other's place, or one of the other sign."""
+    v = problem.variables
+    beginning = replace(problem, records=tuple(r.first(EXCHANGE_SAMPLES * r.rows_per_sample) for r in problem.records))
     flips = [k for k in range(len(v.base)) if v.base[k] and v.low[k] <= -v.base[k] <= v.high[k]]
     changes = [*(([i, j], v.base[[j, i]]) for i, j in alike), *(([k], -v.base[[k]]) for k in flips)]
     for held, values in changes[:MAX_EXCHANGES]:
         begin = v.base.copy()
         begin[held] = values
-        objective = _hold(own, begin, held)
+        objective = _hold(beginning, begin, held)
         evaluation = objective.evaluate(objective.variables.here)
         if np.isfinite(evaluation.cost):
             promised = evaluation.cost - evaluation.predicted_decrease(*objective.variables.bounds())
             if promised <= PROMISING * evaluation.cost or evaluation.cost < TWIN_RUN:
-                yield settle(own, begin, held).values
+                yield settle(problem, begin, held).values
 
 
 # A run as its own record.
@@ -350,11 +353,11 @@ def _own_run(problem: EstimationProblem, variables: DecisionVector) -> Estimatio
     return replace(problem, records=records, variables=without, loss=None)
 
 
-def _hold(own: EstimationProblem, values: np.ndarray, held: Sequence[int]) -> SimulationErrorObjective:
+def _hold(problem: EstimationProblem, values: np.ndarray, held: Sequence[int]) -> SimulationErrorObjective:
     """The cost at these ``values`` (nf,) of the constants, of which those numbered ``held`` are not free."""
-    names = own.variables.names
-    given = own.variables.with_values(dict(zip(names, values.tolist(), strict=True)))
-    objective = SimulationErrorObjective(replace(own, variables=given))
+    names = problem.variables.names
+    given = problem.variables.with_values(dict(zip(names, values.tolist(), strict=True)))
+    objective = SimulationErrorObjective(replace(problem, variables=given))
     return hold_parameters(objective, {names[k]: float(values[k]) for k in held}) if held else objective
 
 

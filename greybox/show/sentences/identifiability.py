@@ -86,8 +86,8 @@ def _write_exchangeable(finding: Finding) -> str:
         for s in v["sums"]
     ]
     where = "are equal within their intervals" if v["equal"] else "are near one another, so that their intervals are"
-    told = f"; better determined: {', '.join(sums)}" if sums else ""
-    return f"{_name_exchanged(v)} and {where}{', which are' * v['equal']} by profile likelihood{told}"
+    better = f"; better determined: {', '.join(sums)}" if sums else ""
+    return f"{_name_exchanged(v)} and {where}{', which are' * v['equal']} by profile likelihood{better}"
 
 
 def _simulated_record(finding: Finding) -> str:
