@@ -1,6 +1,6 @@
 """Is what is certain on measured records true there? Every rig, independent records: learn here, choose there, judge on a third.
 
-    python -m fits.measured_certainty FOLDER [--output RESULTS] [--limit SECONDS] [--page FILE]
+    python -m fits.measured_certainty FOLDER [--output RESULTS] [--limit SECONDS] [--told] [--page FILE]
 
 FOLDER holds the rigs of `fits.measured_rigs`; one that is missing is skipped, and said so. Every search is a file in RESULTS, so that the
 study continues where it was stopped. Each claim, and each effect of the answer, stands beside what is known of the rig: right, wrong, or
@@ -84,11 +84,13 @@ def _agrees(fact: Fact, claim: Mapping[str, Any], depth: Depth) -> bool:
     return depth is Depth.PLACE or claim["name"] in fact.names
 
 
-def study(case: Case, root: Path, limit: float) -> dict[str, Any]:
+def study(case: Case, root: Path, limit: float, is_told: bool = False) -> dict[str, Any]:
     """One search, what it says beside what is known, and the round trip of its model."""
     rig, began = RIGS[case.rig], process_time()
     learn, choose, judge = (rig.record(root, stretch) for stretch in (case.learn, case.choose, case.judge))
     model = rig.model(root / rig.folder / "model")
+    if is_told:
+        model = model.with_parts(has=rig.has, lacks=rig.lacks)
     found = gb.discover(model, learn, validation=choose, test=judge, workers=1, time_limit=limit)
     searched = process_time() - began
     claims = [to_values(claim) for claim in found.claims]
@@ -413,6 +415,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--limit", type=float, default=LIMIT, help="seconds after which a search begins no further refit"
     )
+    parser.add_argument("--told", action="store_true", help="tell each search which parts its rig has and lacks")
     parser.add_argument("--rig", action="append", choices=list(RIGS), dest="rigs", help="these rigs alone")
     parser.add_argument("--page", type=Path, help="write the page of the searches that are done, and search nothing")
     parser.add_argument("--note", default="", help="a sentence for the page on the state of the program that searched")
@@ -430,7 +433,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if file.exists() or not (given.folder / RIGS[case.rig].folder).is_dir():
                 continue
             sys.stderr.write(f"{case.rig}: {case.learn} -> {case.choose}\n")
-            file.write_text(json.dumps(study(case, given.folder, given.limit), indent=1))
+            file.write_text(json.dumps(study(case, given.folder, given.limit, given.told), indent=1))
     done = {case: file for case in SEARCHES if (file := given.output / name_file(case)).exists()}
     lines = [json.loads(file.read_text()) for case, file in done.items()]
     # Judged anew: what is known of a rig may have grown since.

@@ -204,6 +204,7 @@ class Fact:
 class Rig:
     """A rig and what is known of it.
 
+    ``has`` and ``lacks`` are parts that anybody knows who stands before the rig.
     ``facts`` are true. Of a rig that is known whole (``is_whole``) whatever is claimed beside them is false, but for the effects in
     ``open``; of any other nobody knows, but that those in ``false`` are not there. A whole rig without facts lacks nothing.
     """
@@ -215,6 +216,8 @@ class Rig:
     open: tuple[str, ...] = ()
     false: tuple[str, ...] = ()
     is_whole: bool = False
+    has: tuple[str, ...] = ()
+    lacks: tuple[str, ...] = ()
 
     @property
     def is_in_catalogue(self) -> bool:
@@ -244,9 +247,18 @@ RIGS = {
         facts=(Fact(("balance force",), ("v",), ("quadratic_damping",)),),
         open=("reading_curve",),
         is_whole=True,
+        has=("free", "fluid", "video"),
+        lacks=("analogue",),
     ),
     # The drag is within the errors of the video: any certain word names the camera.
-    "heavy ball": Rig("known/ball_drops", ball, always(falling_ball), is_whole=True),
+    "heavy ball": Rig(
+        "known/ball_drops",
+        ball,
+        always(falling_ball),
+        is_whole=True,
+        has=("free", "fluid", "video"),
+        lacks=("analogue",),
+    ),
     # The brake is switched while the record runs: no effect of the catalogue, but more damping at certain times.
     "braked rotor": Rig(
         "known/rosa_rotor",
@@ -255,8 +267,17 @@ RIGS = {
         facts=(Fact(("balance torque", "input u"), ("w", TIME)),),
         open=("input_dead_zone", "drive_lag", "sensor_lag", "linear_input", "transport_delay"),
         is_whole=True,
+        has=("motor", "contact"),
+        lacks=("elastic", "spring", "rubber", "hysteretic", "magnets", "stop", "weight", "analogue"),
     ),
-    "healthy rotor": Rig("known/rosa_rotor", rosa, always(rotor), is_whole=True),
+    "healthy rotor": Rig(
+        "known/rosa_rotor",
+        rosa,
+        always(rotor),
+        is_whole=True,
+        has=("motor", "contact"),
+        lacks=("elastic", "spring", "rubber", "hysteretic", "magnets", "stop", "weight", "analogue"),
+    ),
     # Published friction of the same rig; the torque reads 1.13 to 1.2 times too large for the weighed constants.
     "pendulum": Rig(
         "known/ak80_pendulum",
@@ -272,6 +293,8 @@ RIGS = {
             "backlash",
         ),
         is_whole=True,
+        has=("motor", "gear", "encoder"),
+        lacks=("fluid", "spring", "rubber", "hysteretic", "magnets", "stop", "voice_coil"),
     ),
     # The sensor sits on a pad; heat goes over from heater to heater. Radiation is there, and convection does the same: never certain.
     "heaters": Rig(
@@ -285,6 +308,7 @@ RIGS = {
         ),
         open=("natural_convection", "heat_storage"),
         is_whole=True,
+        has=("actuator", "second_body", "slow_sensor"),
     ),
     # The fluid yields before it flows: a hysteresis with presliding, more of it with the field; a step at zero speed alone is wrong. Where
     # the force is the output there is no balance for a friction of the catalogue to act in.
@@ -301,6 +325,8 @@ RIGS = {
         always(pushed_damper),
         facts=(Fact(("balance force", "input F"), ("v",), ("bouc_wen_hysteresis", "lugre_friction")),),
         is_whole=True,
+        has=("hysteretic", "contact"),
+        lacks=("gear", "motor", "magnets", "voice_coil"),
     ),
     "hydraulic motor": Rig(
         "hydraulic_motor",
@@ -310,6 +336,8 @@ RIGS = {
             Fact(("balance force", "input u"), ("u", "y"), ("input_hysteresis", "input_saturation", "soft_saturation")),
         ),
         false=("second_mode", "sensor_drift"),
+        has=("valve", "seal"),
+        lacks=("motor", "magnets", "spring", "rubber"),
     ),
     "hanging load": Rig(
         "hanging_load",
@@ -317,6 +345,8 @@ RIGS = {
         plain,
         facts=(Fact(("balance force", "input u"), ("u", "v"), ("gain_by_sign", "directional_damping")),),
         false=("second_mode", "sensor_drift"),
+        has=("valve", "seal", "single_rod", "weight"),
+        lacks=("motor", "magnets"),
     ),
     "two cylinders": Rig(
         "two_cylinders",
@@ -327,6 +357,7 @@ RIGS = {
             Fact(("balance loop_2", "input r2"), ("r2",), ("input_offset_at_r2", *(f"{n}_at_r2" for n in TIMING))),
         ),
         false=("second_mode", "sensor_drift"),
+        has=("valve", "seal", "link"),
     ),
     "tacho": Rig(
         "dc_motor_tacho",
@@ -337,6 +368,8 @@ RIGS = {
             Fact(("sensor of y",), ("y",), ("sensor_saturation",)),
         ),
         false=("second_mode", "sensor_drift"),
+        has=("motor", "analogue", "contact"),
+        lacks=("fluid", "magnets", "spring"),
     ),
     "EMPS": Rig(
         "emps",
@@ -349,6 +382,8 @@ RIGS = {
         ),
         open=("constant_load", "input_offset"),
         false=("second_mode", "sensor_lag"),
+        has=("motor", "gear", "encoder"),
+        lacks=("fluid",),
     ),
     "silverbox": Rig(
         "silverbox",
@@ -362,6 +397,8 @@ RIGS = {
             Fact(("balance force", "input u"), ("u",), ("band_limited_input", "linear_input", "input_offset")),
         ),
         false=("viscoelastic_creep", "sensor_drift"),
+        has=("spring",),
+        lacks=("contact",),
     ),
     "tanks": Rig(
         "cascaded_tanks",
@@ -372,6 +409,7 @@ RIGS = {
             Fact(LEVEL, ("x2",), ("lower_overflow", "reading_curve", "sensor_saturation")),
         ),
         false=("sensor_drift",),
+        has=("analogue",),
     ),
 }
 

@@ -150,40 +150,46 @@ def _find_obstacle(model: Model, entry: Effect) -> Finding | None:
     return None
 
 
-# The effect that scales time. On a linear plant free constants and a gain do the same.
-SKEW = "clock_skew"
+# The effect that scales time, on a linear plant as free constants and a gain do; and the one that moves a reading, as other constants of
+# the catalogue do where nothing in the plant bends.
+SKEW, OFFSET = "clock_skew", "sensor_offset"
+# By effect, those that are tried and together with free constants may do the same.
+ALIKE = {SKEW: tuple(GAINS), OFFSET: ("constant_load", "input_offset", "gravity_torque")}
 # Value at which what a scaling effect does is compared with what constants do: far from absent, where its slope by logarithm would vanish.
 SCALED_BY = 0.3
 
 
 def _find_imitation(model: Model, entry: Effect, tried: Sequence[Effect]) -> Finding | None:
-    """What does the same as an effect that scales a signal or time, on any record: then it is no candidate. None where nothing does.
+    """What does the same as an effect that scales or moves a signal or time, on any record: then it is no candidate. None if nothing does.
 
     A constant that was weighed or measured by itself counts as known, as a fixed one does.
     """
-    if entry.name.partition(AT)[0] not in (*GAINS, SKEW) or not model.has_equations:
+    base = entry.name.partition(AT)[0]
+    if base not in (*GAINS, *ALIKE) or not model.has_equations:
         return None
     known = model.fix(*(q.name for q in model.free_parameters if q.prior))
-    # Time is told from free constants and the gains that are tried together, or it is one more name for these.
-    gains = [e for e in tried if e.name.partition(AT)[0] in GAINS] if entry.name == SKEW else []
+    # It is told from free constants and the effects that are tried together, or it is one more name for these.
+    alike = [e for e in tried if e.name.partition(AT)[0] in ALIKE.get(base, ())]
     scaled, effect_of = known, {}
-    for effect in (*gains, entry):
+    for effect in (*alike, entry):
         scaled = scaled + effect
-        (scale,) = (scaled.names_of(effect.name)[name] for name in effect.amplitudes)
-        scaled, effect_of[scale] = scaled.start(**{scale: SCALED_BY}), effect.name
+        for scale in (scaled.names_of(effect.name)[name] for name in effect.amplitudes):
+            scaled, effect_of[scale] = scaled.start(**{scale: SCALED_BY}), effect.name
     try:
         structure = analyse_structural_identifiability(scaled)
     except (ModelError, DataError):
         # A model that cannot be run at random constants: nothing is known against the effect.
         return None
-    # The amplitude of ``entry`` was the last.
-    taking = [d.names for d in structure.directions if scale in d.names and len(d.names) > 1]
+    # The amplitude of ``entry`` was the last. What moves a reading may be nothing but another start.
+    taking = [d.names for d in structure.directions if scale in d.names and (len(d.names) > 1 or base == OFFSET)]
     if not (taking and structure.certain):
         return None
     others = [name for name in min(taking, key=len) if name != scale]
-    if effects := [effect_of[name] for name in others if name in effect_of]:
+    if effects := list(dict.fromkeys(effect_of[name] for name in others if name in effect_of)):
         return Finding(DiscoveryCode.TRIED_AS_OTHERS, subject=entry.name, values={"others": effects})
-    return Finding(DiscoveryCode.TAKEN_BY_CONSTANTS, subject=entry.name, values={"constants": others})
+    return Finding(
+        DiscoveryCode.TAKEN_BY_CONSTANTS, subject=entry.name, values={"constants": others or ["the initial state"]}
+    )
 
 
 def _explain_absence(model: Model, entry: Effect) -> Finding:

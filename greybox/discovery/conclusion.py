@@ -13,6 +13,7 @@ import numpy as np
 from greybox.base import Check, Finding, Severity
 from greybox.discovery.claims import (
     NO_GROUNDS,
+    SOME_LEFT,
     Claim,
     Depth,
     Grounds,
@@ -66,6 +67,7 @@ from greybox.discovery.judged_selection import JudgedSelection, list_added_effec
 from greybox.discovery.laws.search import propose_laws
 from greybox.discovery.laws.terms import Law, claimed_name, describe_laws, is_law, write_effect
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
+from greybox.discovery.plausibility import prefer_usual, refit_usual
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.discovery.proposals import (
     explain_doubt,
@@ -94,6 +96,7 @@ from greybox.discovery.surrogate import Surrogate, fit_surrogate
 from greybox.discovery.table import Draws, FitTable
 from greybox.estimation import Fit
 from greybox.model import Effect
+from greybox.model.parts import read_parts
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,10 @@ class SearchAnswer:
         Those against the plain model, on the records that judge and on those that took no part.
     rejected
         Names of its effects where the plain model is the answer in their place; "" for an answer that stands.
+    usual
+        What the records alone say, where what such rigs usually have comes first.
+    question
+        The part of the rig that nobody has spoken of, and on which the name hangs.
     """
 
     judged: JudgedSelection
@@ -152,6 +159,8 @@ class SearchAnswer:
     findings: tuple[Finding, ...] = ()
     checks: tuple[Check, ...] = ()
     rejected: str = ""
+    usual: Finding | None = None
+    question: Finding | None = None
 
     @property
     def problem(self) -> DiscoveryProblem:
@@ -252,7 +261,34 @@ def _weigh_answer(judged: JudgedSelection, candidates: Sequence[Effect], further
         SearchStage.EVIDENCE, final.candidate.effects, weigh, answer
     )
     is_cut = bool(answer.problem.executor.skipped)  # not all rivals were tried
-    return replace(weighed, grounds=replace(weighed.grounds, is_cut=is_cut))
+    weighed = replace(weighed, grounds=replace(weighed.grounds, is_cut=is_cut))
+    if has_law or weighed.verdict is Verdict.NAMED:  # the records have decided
+        return weighed
+    prefer = partial(_put_usual_first, weighed, candidates)
+    return answer.problem.failures.attempt(SearchStage.EVIDENCE, weighed.final.candidate.effects, prefer, weighed)
+
+
+def _put_usual_first(answer: SearchAnswer, candidates: Sequence[Effect]) -> SearchAnswer:
+    """The answer with the usual one of the sets that do equally well in its place; its names are no more certain for that."""
+    judged, chosen, table = answer.judged, answer.final.candidate, answer.judged.table
+    usual = refit_usual(_make_rivals(answer, candidates), table, read_parts(judged.plain))
+    draws = table.draw(table.leading((judged.baseline, chosen, *usual)))
+    established = {c.name for c in answer.claims if c.name and c.is_established}
+    # A set with memory follows whatever is left: where nobody told the noise, no record says that only noise is.
+    left = max((c.left for c in answer.weighed), default=1.0)
+    is_open = left >= SOME_LEFT or not is_level_known(answer.problem.noise_model)
+    preference = prefer_usual(draws, chosen, judged.plain, established, is_open)
+    if preference is None:
+        return answer
+    preferred = answer
+    if preference.finding is not None:
+        preferred = _hand_over(answer, preference.candidate)
+        names = set(answer.grounds.names or ()) & set(preferred.final.candidate.names)
+        preferred = replace(preferred, grounds=replace(answer.grounds, names=names))
+        # Among ties that the records have made the weights may choose; they make none of their own.
+        if answer.verdict is Verdict.AMBIGUOUS and preferred.verdict is not Verdict.AMBIGUOUS:
+            return replace(answer, question=preference.question)
+    return replace(preferred, usual=preference.finding, question=preference.question)
 
 
 def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem, candidates: Sequence[Effect]) -> SearchAnswer:
@@ -356,6 +392,8 @@ def _keep_if_better(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
         refinement=None if refinement is None else Refinement(judged.base, (), refinement.checks),
         checks=(*answer.decided.checks, *checks),
         rejected=names,
+        usual=None,
+        question=None,
     )
 
 
@@ -441,6 +479,8 @@ def _describe(
     )
     if answer.terms and not laws and verdict is not Verdict.COMPLETE:
         summary = (*summary, Finding(DiscoveryCode.NO_LAW, values={"terms": answer.terms}))
+    if answer.usual is not None:
+        summary = (*summary[:1], answer.usual, *summary[1:])
     if laws:
         alternatives = _write_sets(problem.fitted, alternatives)
         summary = summarise_laws(judged, decided, answer.claims, laws, alternatives, left)
@@ -755,7 +795,8 @@ def _list_next_steps(
         steps = propose_noise_check(judged.base)
     if list_added_effects(judged) and (verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) or not steps):
         steps = (*steps, Finding(DiscoveryCode.CONFIRM_ON_ANOTHER_RECORD))
-    return steps
+    # The cheapest experiment is a question.
+    return steps if answer.question is None else (answer.question, *steps)
 
 
 # Effects that are not established for which an experiment is asked, those that take the largest share of the error first.

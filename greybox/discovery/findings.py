@@ -52,6 +52,7 @@ class DiscoveryCode(StrEnum):
     MISSING_ON_TEST = "missing_on_test"
     NEAREST_LOOK_ALIKE = "nearest_look_alike"
     HARDLY_VISIBLE = "hardly_visible"
+    USUAL_FIRST = "usual_first"
     WITHIN_SENSOR_CLASS = "within_sensor_class"
     MISSING_SIGNAL = "missing_signal"
     SURROGATE_FITTED = "surrogate_fitted"
@@ -86,6 +87,7 @@ class DiscoveryCode(StrEnum):
     CANDIDATE_FAILED = "candidate_failed"
     CANDIDATE_NOT_SIMULATED = "candidate_not_simulated"
     # What to do next.
+    ASK_PART = "ask_part"
     SEPARATE_FROM_RIVAL = "separate_from_rival"
     QUOTE_THIRD_RECORD = "quote_third_record"
     CONFIRM_ON_ANOTHER_RECORD = "confirm_on_another_record"

@@ -96,7 +96,18 @@ PARTS: tuple[Part, ...] = (
         "free",
         "free flight: nothing drives, guides or holds the body",
         "is the body in free flight, with nothing that drives, guides or holds it?",
-        replaces=("contact", "gear", "spring", "rubber", "hysteretic", "elastic", "motor", "magnets", "voice_coil"),
+        replaces=(
+            "contact",
+            "gear",
+            "spring",
+            "rubber",
+            "hysteretic",
+            "elastic",
+            "motor",
+            "magnets",
+            "voice_coil",
+            "weight",
+        ),
     ),
     Part(
         "spring",
@@ -177,6 +188,7 @@ PARTS: tuple[Part, ...] = (
         "video",
         "video or a clock of its own: scale and time are not those of the rig",
         "does a video, or a recorder with a clock of its own, measure it?",
+        replaces=("slow_sensor",),
     ),
 )
 _PARTS = {part.name: part for part in PARTS}

@@ -198,7 +198,7 @@ class StudyOnFile:
             from_file=frozenset(),
             unused=(),
         )
-        bare = study.but(start={}, fixed={}, free=())
+        bare = study.but(start={}, fixed={}, free=(), has=tuple(session.model.has), lacks=tuple(session.model.lacks))
         if effects is None:
             return bare.but(
                 model=str(_beside(folder / MODEL_FILE, folder)),
@@ -250,6 +250,7 @@ COMMAND = Command(
     "Open a model and its records in the browser.",
     (
         *(*FIT.in_study().values(), Study.estimation, Study.workers, AppStudy.port, AppStudy.no_browser),
+        *(Study.has, Study.lacks),
         Study.output.but(help="Folder for what is exported. [default: results/MODEL-app]"),
         Study.json.but(help="Print the address as JSON instead of text, and open no browser."),
     ),

@@ -329,6 +329,7 @@ ACTIONS: Mapping[str, Callable[[Workbench, Mapping[str, Any]], Callable[[], Any]
     "effect": lambda bench, given: partial(
         bench.add_effect if given["on"] else bench.remove_effect, str(given["name"])
     ),
+    "part": lambda bench, given: partial(bench.set_part, str(given["name"]), str(given["known"])),
     "forget": lambda bench, given: partial(bench.forget, int(given["record"])),
     "role": lambda bench, given: partial(bench.set_role, int(given["record"]), bool(given["validates"])),
     "undo": lambda bench, given: bench.undo,

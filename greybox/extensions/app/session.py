@@ -174,6 +174,14 @@ class Session:
         """Without one of its effects. Raises ModelError where it has none of this name."""
         return replace(self, model=self.model.without(name))
 
+    def with_part(self, name: str, known: str) -> Session:
+        """Of a rig that ``has`` or ``lacks`` a part, or of which nothing is said. Raises ModelError for an unknown part or word."""
+        if known not in ("has", "lacks", ""):
+            raise ModelError(f"part {name}: {known!r}; say has, lacks or nothing")
+        has, lacks = (tuple(n for n in of if n != name) for of in (self.model.has, self.model.lacks))
+        model = replace(self.model, has=has, lacks=lacks)
+        return replace(self, model=model.with_parts(**{known: (name,)}) if known else model)
+
     def with_records(self, records: Sequence[LoadedRecord]) -> Session:
         """With further records."""
         return replace(self, records=(*self.records, *records))

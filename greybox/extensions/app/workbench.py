@@ -22,6 +22,7 @@ from greybox.base.figure import Figure
 from greybox.base.files import find_free_path
 from greybox.data.columns import ColumnChoice, merge_mappings
 from greybox.data.experiment import Experiment
+from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.extensions.app.jobs import LAST_NEWS, Job, JobEvent, JobKind, JobNews
 from greybox.extensions.app.session import LoadedRecord, Session
@@ -29,6 +30,7 @@ from greybox.extensions.export.python_model import to_python
 from greybox.model import Effect, Model, equations_text
 from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import find_placements
+from greybox.model.parts import PARTS
 from greybox.model.system import Statement
 from greybox.show.describe import report
 from greybox.show.documents.tables import MISFIT_HEADS, estimate_cells, misfit_cells
@@ -78,6 +80,7 @@ def show_session(session: Session, places: Sequence[EffectPlace] = ()) -> dict[s
             {"name": b.effect.name, "site": b.site, "equation": b.effect.equation} for b in model.bound_effects
         ],
         "catalogue": [{"name": e.name, "site": site, "equation": e.equation} for e, site in places],
+        "parts": [{"name": p.name, "meaning": p.meaning, "known": _known_of(model, p.name)} for p in PARTS],
         "records": [
             {
                 "name": r.experiment.name,
@@ -91,8 +94,17 @@ def show_session(session: Session, places: Sequence[EffectPlace] = ()) -> dict[s
         "fit": None if session.fit is None else {"text": str(session.fit), "current": session.is_fitted},
         "discovery": None
         if session.discovery is None
-        else {"verdict": str(session.discovery.verdict), "text": str(session.discovery)},
+        else {
+            "verdict": str(session.discovery.verdict),
+            "text": str(session.discovery),
+            "asked": next((f.subject for f in session.discovery.next_steps if f.code == DiscoveryCode.ASK_PART), ""),
+        },
     }
+
+
+def _known_of(model: Model, part: str) -> str:
+    """What is said of a part: ``has``, ``lacks``, or nothing."""
+    return "has" if part in model.has else "lacks" if part in model.lacks else ""
 
 
 def show_choice(columns: Sequence[str], choices: Sequence[ColumnChoice]) -> dict[str, Any]:
@@ -284,6 +296,10 @@ class Workbench:
     def remove_effect(self, name: str) -> None:
         """Take an effect out. Raises ModelError."""
         self._take(self.session.without_effect(name))
+
+    def set_part(self, name: str, known: str) -> None:
+        """Say that the rig ``has`` or ``lacks`` a part, or nothing of it. Raises ModelError."""
+        self._take(self.session.with_part(name, known))
 
     def load(self, file: Path, *, validates: bool = False, columns: Mapping[str, str] | None = None) -> None:
         """Read a record. Raises GreyboxError, and then nothing has changed.

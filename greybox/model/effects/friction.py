@@ -122,7 +122,7 @@ coulomb_friction = Effect(
     probe=lambda s: {"Fc": s.visible_force},
     needs=("contact",),
     occurs=Occurrence.USUAL,
-    occurs_with={"free": Occurrence.COMMON},
+    occurs_with={"contact": Occurrence.USUAL, "free": Occurrence.RARE},
 )
 
 stribeck_friction = Effect(
@@ -144,7 +144,7 @@ stribeck_friction = Effect(
     from_parent=_stribeck_from_coulomb,
     needs=("contact",),
     occurs=Occurrence.OCCASIONAL,
-    occurs_with={"gear": Occurrence.COMMON},
+    occurs_with={"gear": Occurrence.COMMON, "free": Occurrence.EXOTIC},
 )
 
 lugre_friction = Effect(
@@ -174,7 +174,7 @@ lugre_friction = Effect(
     from_parent=_lugre_from_parent,
     needs=("contact",),
     occurs=Occurrence.RARE,
-    occurs_with={"seal": Occurrence.COMMON},
+    occurs_with={"seal": Occurrence.COMMON, "free": Occurrence.EXOTIC},
 )
 
 quadratic_damping = Effect(
@@ -250,7 +250,53 @@ asymmetric_friction = Effect(
     ],
     needs=("contact",),
     occurs=Occurrence.RARE,
-    occurs_with={"weight": Occurrence.OCCASIONAL},
+    occurs_with={"weight": Occurrence.OCCASIONAL, "free": Occurrence.EXOTIC},
+)
+
+warming_friction = Effect(
+    "warming_friction",
+    site="force",
+    parameters=[
+        amplitude_parameter("Fc", "{force}", "friction while sliding, cold", low=0.0),
+        amplitude_parameter(
+            "cw", "1/({force}*{velocity})", "fall of the friction over the power that warms it", low=0.0
+        ),
+        shape_parameter(
+            "tau_w", "s", 10.0, (1e-6, 1e9), "time in which it cools; far beyond the record it only runs in"
+        ),
+    ],
+    states=(
+        State(
+            "z", "1", relaxing=True, description="share by which the warm friction is lower, over what is left of it"
+        ),
+    ),
+    dry=lambda x, u, p: DryFriction(sliding=p.Fc / (1 + x.z), static=p.Fc / (1 + x.z)),
+    balances=lambda x, u, p: [
+        # What it turns into heat is the friction times the speed, here the cold one: warm oil takes less.
+        Balance("warmth", "1", p.tau_w, "z", heating=p.cw * p.Fc * ca.fabs(x.velocity), cooling=-x.z)
+    ],
+    equation="-Fc/(1 + z) sign(v), tau_w z' = cw Fc abs(v) - z",
+    parents=("coulomb_friction",),
+    parity="slow",
+    tells_apart=(
+        "Move at one speed for minutes after a rest: friction that warms falls and settles, and is back after another rest; what runs in"
+        " stays low."
+    ),
+    source=(
+        "gears and bearings: A. Bittencourt, S. Gunnarsson 2012, Static friction in a robot joint: modeling and identification of load and"
+        " temperature effects"
+    ),
+    amplitudes=("Fc", "cw"),
+    probe=lambda s: {"Fc": s.visible_force, "cw": VISIBLE_SHARE / (s.visible_force * s.velocity)},
+    grid=lambda s: {"tau_w": [share * s.duration for share in (0.1, 0.5, 3.0)]},
+    limits=lambda s: {"tau_w": (10 * s.period, 100 * s.duration)},
+    from_parent=lambda values, s: [
+        {"Fc": ratio * values["Fc"], "cw": (ratio - 1) / (values["Fc"] * s.velocity), "tau_w": share * s.duration}
+        for ratio, share in product((1.2, 2.0), (0.1, 0.5))
+    ],
+    needs=("contact",),
+    occurs=Occurrence.RARE,
+    occurs_with={"gear": Occurrence.OCCASIONAL, "free": Occurrence.EXOTIC},
 )
 
 FRICTION: tuple[Effect, ...] = (
@@ -260,6 +306,7 @@ FRICTION: tuple[Effect, ...] = (
     quadratic_damping,
     load_dependent_friction,
     asymmetric_friction,
+    warming_friction,
 )
 
 

@@ -99,7 +99,7 @@ constant_load = Effect(
     amplitudes=("F0",),
     probe=lambda s: {"F0": s.visible_force},
     occurs=Occurrence.COMMON,
-    occurs_with={"weight": Occurrence.USUAL},
+    occurs_with={"weight": Occurrence.USUAL, "free": Occurrence.EXOTIC},
 )
 
 LOAD: tuple[Effect, ...] = (constant_load,)

@@ -12,7 +12,14 @@ from greybox.model.effect import EVERY_BALANCE, Effect, amplitude_parameter, sha
 from greybox.model.effects.flow import OUT_OF_REACH
 from greybox.model.effects.scales import LONGEST_DELAY, UNTAILORED_DELAY, Scales
 from greybox.model.parts import Occurrence
-from greybox.model.signals import State
+from greybox.model.signals import Expression, State
+
+
+def _follow(value: Expression, goal: Expression, time: Expression, slowness: Expression) -> Expression:
+    """``value`` moved towards ``goal`` for a time, by one unit in ``slowness`` at most; the goal where that is zero."""
+    reach = time / ca.if_else(slowness > 0, slowness, ca.inf)
+    return ca.if_else(slowness > 0, value + ca.fmin(ca.fmax(goal - value, -reach), reach), goal)
+
 
 # Difference of the gain by sign that a search starts from beside a constant load, as a share.
 GAIN_SHARE = 0.2
@@ -289,6 +296,55 @@ sensor_gain = replace(
     occurs_with={"video": Occurrence.COMMON},
 )
 
+sensor_offset = Effect(
+    "sensor_offset",
+    site="sensor",
+    parameters=[amplitude_parameter("y0", "{sensor}", "how much the sensor reads at zero, either sign")],
+    on_output=lambda value, x, u, p: value + p.y0,
+    equation="y + y0",
+    parity="even",
+    tells_apart=(
+        "Read one known value at standstill. On a linear spring a constant load does the same; where nothing depends on the place, so"
+        " does another start."
+    ),
+    source="zero of an encoder or of a joint, of a bridge amplifier, of a pressure cell",
+    amplitudes=("y0",),
+    probe=lambda s: {"y0": 0.01 * s.sensor},
+    occurs=Occurrence.OCCASIONAL,
+)
+
+rate_limit = Effect(
+    "rate_limit",
+    site="drive",
+    parameters=[
+        amplitude_parameter(
+            "ts", "s/{drive}", "least time that a change by one unit takes: one over the fastest rate", low=0.0
+        )
+    ],
+    states=[
+        State("w", "{drive}", description="what the drive delivered at the end of the last step"),
+        State("now", "s", description="time"),
+        State("last", "s", description="time of that end"),
+    ],
+    balances=lambda x, u, p: [Balance("clock", "1", 1, "now", time=1)],
+    update=lambda x, u, p: {"w": _follow(x.w, u.input, x.now - x.last, p.ts), "last": x.now},
+    # It follows the input as fast as it may, from where it was: exact for an input that is held, while a ramp outlasts the step.
+    on_input=lambda value, x, u, p: _follow(x.w, value, x.now - x.last, p.ts),
+    equation="abs(w') <= 1/ts, w after u as fast as that allows, w in the place of u",
+    parity="odd",
+    tells_apart=(
+        "Step by two sizes: the time to follow grows with the size under a limit of the rate and is the same under a lag; a limit of the"
+        " size stays at its value."
+    ),
+    source="rudder, control valve, slew rate of an amplifier: T. Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control",
+    amplitudes=("ts",),
+    # From a change by the largest input within 3 % of the record.
+    probe=lambda s: {"ts": 0.03 * s.duration / s.input},
+    limits=lambda s: {"ts": (0.0, s.duration / s.input)},
+    occurs=Occurrence.RARE,
+    occurs_with={"hull": Occurrence.COMMON, "actuator": Occurrence.OCCASIONAL, "valve": Occurrence.OCCASIONAL},
+)
+
 TELLS_SIGN = (
     "Push the plant by hand, or apply a small constant input, and look which way each reading goes. From the record alone a reversed input"
     " and a plant whose every reading is reversed are the same."
@@ -475,6 +531,7 @@ SIGNAL_PATH: tuple[Effect, ...] = (
     valve_hysteresis,
     valve_lag,
     drive_lag,
+    rate_limit,
     transport_delay,
     input_offset,
     input_gain,
@@ -484,6 +541,7 @@ SIGNAL_PATH: tuple[Effect, ...] = (
     gain_by_sign,
     sensor_drift,
     sensor_gain,
+    sensor_offset,
     reversed_reading,
     clock_skew,
     sensor_lag,

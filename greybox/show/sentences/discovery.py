@@ -14,11 +14,12 @@ from greybox.discovery.decision import Grade
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
-from greybox.model.parts import TOLD
+from greybox.model.parts import TOLD, part
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders, sentence
 from greybox.show.sentences.wording import (
     MOST_PERCENT,
+    capitalise,
     change_text,
     count_noun,
     join_names,
@@ -344,6 +345,22 @@ def rival_text(rival: str) -> str:
     return join_names([effect_title(name) for name in split_names(rival)])
 
 
+def _usual_first(finding: Finding) -> str:
+    v = finding.values
+    by_records = " or ".join(map(rival_text, v["by_records"]))
+    text = f"By the records alone {by_records}; by what such rigs usually have, {rival_text(finding.subject)}"
+    if v["odds"] > 1.5:
+        text += f" ({v['odds']:.0f} to 1)"
+    shares = [f"{100 * v[key]:.0f} %" for key in ("share", "best_share")]
+    return f"{text}: it takes {shares[0]} of the error, the best of all ({rival_text(v['best'])}) {shares[1]}."
+
+
+def _ask_part(finding: Finding) -> str:
+    yes, no = (rival_text(finding.values[key]) for key in ("yes", "no"))
+    question, flag = capitalise(part(finding.subject).question), finding.subject
+    return f"{question} If so, it is {yes} (--has {flag}); if not, {no} (--lacks {flag})"
+
+
 def _claim_established(finding: Finding) -> str:
     v = finding.values
     text = claim_text(v)
@@ -571,6 +588,7 @@ register(
         DiscoveryCode.WORSE_ON_TEST: "What follows the estimation and the validation records best, {subject}, does worse than the plain"
         " model on the test records: the plain model is the answer.",
         DiscoveryCode.NEAREST_LOOK_ALIKE: "The nearest look-alike is {subject}.",
+        DiscoveryCode.USUAL_FIRST: _usual_first,
         DiscoveryCode.WITHIN_SENSOR_CLASS: _within_sensor_class,
         DiscoveryCode.HARDLY_VISIBLE: lambda f: (
             "The estimation records hardly show it: the misfit of the plain model there is"
@@ -636,6 +654,7 @@ register(
         DiscoveryCode.CANDIDATE_FAILED: "it could not be fitted: {reason}",
         DiscoveryCode.CANDIDATE_NOT_SIMULATED: "the model with it cannot be simulated from any starting point",
         # What to do next.
+        DiscoveryCode.ASK_PART: _ask_part,
         DiscoveryCode.SEPARATE_FROM_RIVAL: lambda f: (
             f"record an experiment in which {effect_title(f.subject)} and {effect_title(f.values['rival'])} differ (another amplitude,"
             " speed or direction; `greybox design` with `--goal discrimination` plans it): these records do not separate them"

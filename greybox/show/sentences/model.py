@@ -120,7 +120,11 @@ def write_effects(listing: EffectListing) -> list[Block]:
     """Name, place, equation and units of each effect, and why some have no place."""
     if not listing.model:
         rows = [[e.name, e.site, _write_units(e.parameters), e.equation] for e in listing.entries]
-        return [TableBlock("Effects", ["effect", "acts at", "parameters", "equation"], rows)]
+        parts = [[p.name, p.meaning] for p in PARTS]
+        return [
+            TableBlock("Effects", ["effect", "acts at", "parameters", "equation"], rows),
+            TableBlock("Parts that a rig has or lacks", ["part", "what it is"], parts),
+        ]
     taken = [p for p in listing.placements if p.effect is not None]
     rows = [[p.name, p.site, _write_units(p.parameters), p.effect.equation if p.effect else ""] for p in taken]
     title = f"{listing.model} takes {count_noun(len(taken), 'effect')}:"

@@ -49,6 +49,20 @@ def wait(bench: Workbench) -> None:
     assert bench.job is None
 
 
+def test_what_the_rig_has_is_said_and_taken_back(bench: Workbench):
+    known = {part["name"]: part["known"] for part in bench.show()["parts"]}
+    assert set(known.values()) == {""}
+    bench.set_part("contact", "lacks")
+    bench.set_part("gear", "has")
+    bench.set_part("gear", "")
+    assert (bench.session.model.has, bench.session.model.lacks) == ((), ("contact",))
+    assert {p["name"]: p["known"] for p in bench.show()["parts"]} == known | {"contact": "lacks"}
+    bench.undo()
+    assert bench.session.model.has == ("gear",)
+    with pytest.raises(ModelError, match=r"no part is called 'gaer'.*gear"):
+        bench.set_part("gaer", "has")
+
+
 @pytest.mark.parametrize(
     ("parameter", "low", "high", "logarithmic"),
     [

@@ -9,9 +9,14 @@ FRICTION = effect("coulomb_friction")
 
 
 def test_the_catalogue_as_a_table():
-    assert str(EffectListing("", (FRICTION,))) == (
+    effects, parts = str(EffectListing("", (FRICTION,))).split("\n\n")
+    assert effects == (
         "  effect            acts at  parameters    equation\n  coulomb_friction  force    Fc [{force}]  -Fc sign(v)"
     )
+    assert parts.splitlines()[:2] == [
+        "  part         what it is",
+        "  contact      two bodies that touch while they move: bearing, guide, seal, gear, tyre, brush",
+    ]
 
 
 def test_places_and_why_there_is_none():

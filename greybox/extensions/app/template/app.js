@@ -217,6 +217,15 @@
     return one;
   };
 
+  const tick = (text, label, checked, onchange) => {
+    const box = make("input", "", { type: "checkbox", checked, onchange: () => onchange(box.checked) });
+    box.setAttribute("aria-label", label);
+    const whole = make("label");
+    whole.append(box, ` ${text}`);
+    return whole;
+  };
+  const titled = (name) => name.replaceAll("_", " ");
+
   const duration = (seconds) => `${Number(seconds.toPrecision(3))}\u00a0s`;
   const listCatalogue = () => {
     const words = by("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
@@ -237,6 +246,8 @@
     by("effects").replaceChildren(...(state.effects.length ? state.effects.map(({ name, site, equation }) =>
       item(name.replaceAll("_", " "), [equation, `at ${site}`], button("Remove", `Remove ${name}`, () => take("effect", { name, on: false })))) : [make("li", "None in the model.")]));
     listCatalogue();
+    by("parts").replaceChildren(...state.parts.map(({ name, meaning, known }) =>
+      item(titled(name), [meaning], ...["has", "lacks"].map((key) => tick(key, `${key} ${name}`, known === key, (on) => take("part", { name, known: on ? key : "" }))))));
     by("records").replaceChildren(...state.records.map(({ name, rows, seconds, validates, notes }, record) =>
       item(name, [`${validates ? "for validation" : "is fitted"} · ${rows}\u00a0rows · ${duration(seconds)}`, ...notes],
         button(validates ? "Fit it" : "Validate", `${validates ? "Fit" : "Validate with"} ${name}`, () => take("role", { record, validates: !validates })),
@@ -253,6 +264,10 @@
     if (state.discovery) {
       by("outcome").textContent = state.discovery.verdict;
       by("discovery-answer").querySelector("pre").textContent = state.discovery.text;
+      const name = state.discovery.asked;
+      by("asked").hidden = !name;
+      by("asked").replaceChildren(...(name ? [["has", "Yes"], ["lacks", "No"]] : []).map(([known, text]) =>
+        button(`${text}: it ${known} ${titled(name)}`, `${known} ${name}, and discover again`, async () => { await take("part", { name, known }); compute("discover"); })));
     }
     for (const name of ["study", "script", "equations", "folder"]) by(name).textContent = state[name];
     if (focused && !focus.isConnected) [...document.querySelectorAll("[aria-label]")].find((e) => e.getAttribute("aria-label") === focused)?.focus({ preventScroll: true });
