@@ -298,7 +298,7 @@ def weigh_claims(
     leading = draws.sets[weights.leading]
     names = [o.name for o in leading.candidate.model.outputs]
     context = _Context(draws, weights, forms, groups, names, left)
-    missing = context.claim(Depth.MISSING, (), lambda f: ())
+    missing = context.claim(Depth.MISSING, ())
     claims = [missing] if missing else []
     for depth, key in KEYS.items():
         keys = Counter(
@@ -311,7 +311,7 @@ def weigh_claims(
             }
         )
         for value, frequency in keys.most_common():
-            if frequency >= LEAST_FREQUENCY and (made := context.claim(depth, value, key)):
+            if frequency >= LEAST_FREQUENCY and (made := context.claim(depth, value)):
                 claims.append(_hold_below(made, claims))
     return grade_claims(claims)
 
@@ -455,7 +455,7 @@ class _Context:
     def frequency(self, depth: Depth, value: Hashable) -> float:
         return self.weights.share(self.holds(depth, value))
 
-    def claim(self, depth: Depth, value: Hashable, key: Key | Callable[[EffectForm], Hashable]) -> Claim | None:
+    def claim(self, depth: Depth, value: Hashable) -> Claim | None:
         """The claim with this content; None where no winner makes it."""
         holds = self.holds(depth, value)
         frequency = self.weights.share(holds)

@@ -668,7 +668,7 @@ def _hand_over(answer: SearchAnswer, winner: FittedCandidate) -> SearchAnswer:
     problem = judged.selection.problem
     # It may have been fitted under another noise.
     outcome = problem.to_outcome(winner)
-    selected, candidate = (each.restore(winner.model, outcome) for each in (problem, scores.problem))
+    selected, candidate = (each.converge(each.restore(winner.model, outcome)) for each in (problem, scores.problem))
     finish = partial(validate_candidate, scores.problem, candidate, scores.validation)
     fit: Fit | None = problem.failures.attempt(SearchStage.HOLDOUT, winner.effects, finish, None)
     if fit is None:

@@ -364,7 +364,7 @@ def find_tone(time: np.ndarray, w: np.ndarray, motion: np.ndarray) -> tuple[floa
 LOCALISATION_BINS = 16
 # Share by which a sinusoid over the variable must explain more than the bins.
 PERIODIC_GAIN = 0.1
-# The same as a share of what the bins leave; the smaller of the two counts.
+# Share of what the bins leave that is enough.
 PERIODIC_GAIN_OF_REST = 0.25
 
 

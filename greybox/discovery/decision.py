@@ -92,7 +92,7 @@ def criterion_gain(smaller: FittedCandidate, larger: FittedCandidate) -> float:
 
 # Share of the plain model's excess cost that the first effect must explain: one that explains less is a look-alike.
 SELECTION_FIRST_SHARE = 0.1
-# The same for every further effect, as a share of the plain model's excess cost.
+# Share of it that every further effect must explain.
 FURTHER_SHARE = 0.01
 
 

@@ -251,6 +251,8 @@ class ResidualSignal(ReadOnly):
 
 # Log-likelihood in nats by which a site must lead, over no signal and over the next site.
 SITE_LEAD = 10.0
+# Share of the leading site's gain that this lead is at least, over the next site.
+SITE_LEAD_SHARE = 0.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -435,10 +437,6 @@ def _rank_sites(candidate: FittedCandidate, line: LinearisedRun) -> list[tuple[D
 def signal_units(model: Model) -> dict[str, str]:
     """Unit of each state and input by name."""
     return {s.name: s.unit for s in model.all_states} | {i.name: i.unit for i in model.inputs}
-
-
-# The same as a share of the leading site's gain; the larger of the two counts.
-SITE_LEAD_SHARE = 0.001
 
 
 def _group_sites(sites: Sequence[RankedSite]) -> tuple[tuple[str, ...], ...]:

@@ -30,8 +30,6 @@ from greybox.discovery.holdout import (
     HoldoutScores,
     ValidationSet,
     compare_holdout_errors,
-    drop_on_validation,
-    reject_on_validation,
     validate_candidate,
 )
 from greybox.discovery.judged_selection import JudgedSelection
@@ -39,7 +37,6 @@ from greybox.discovery.localisation import localise_residual
 from greybox.discovery.plant_search import search_plant
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem, FitSettings, FittedCandidate, clean_cost_limit
-from greybox.discovery.refinement import VALIDATION_SHARE
 from greybox.discovery.result import Discovery
 from greybox.discovery.selection import MessageCallback, StepKind, StepwiseSelection, checks_of
 from greybox.discovery.table import FitTable
@@ -242,15 +239,11 @@ def discover(
             user_settings=FitSettings(dict(noise or {}), _as_tuple(quiet), options),
         )
         scales = _estimate_scales(problem)
-        given = (
-            effects
-            if not beside or (laws and effects is not None and not effects)
-            else _with_own(model, effects, beside)
-        )
-        if laws and effects is not None and not effects:
-            listed = CandidateList(()) if not beside else list_candidates(model, scales, problem.failures, beside, ())
+        if laws and effects is not None and not effects:  # nothing of the catalogue
+            listed = list_candidates(model, scales, problem.failures, beside) if beside else CandidateList(())
         else:
-            listed = list_candidates(problem.model, scales, problem.failures, given, without)
+            given = _with_own(model, effects, beside) if beside else effects
+            listed = list_candidates(model, scales, problem.failures, given, without)
         findings: tuple[Finding, ...] = ()
         judged = _select_and_judge(problem, listed.effects, scales, validation_set, policy, on_message)
         if (
@@ -315,14 +308,7 @@ def _select_and_judge(
         selected = selection.select()
     else:
         selection, selected = _select_with_unknown_noise(selection)
-    checks = list(checks_of(selection.steps))
-    scores = HoldoutScores(selection.problem, validation)
-    if selected.effects:
-        fits = list(selection.fits.values())
-        selected, of_holdout = reject_on_validation(scores, selection.baseline, selected, fits, policy.selection)
-        checks += of_holdout
-        selected, of_holdout = drop_on_validation(scores, selected, fits, VALIDATION_SHARE)
-        checks += of_holdout
+    checks, table = tuple(checks_of(selection.steps)), FitTable(HoldoutScores(selection.problem, validation))
     rivals = selection.find_rivals(selected) if selected.effects else []
     base = validate_candidate(selection.problem, selection.baseline, validation)
     final = selection.shape_corrections.get(frozenset(selected.effects), selected)
@@ -332,9 +318,7 @@ def _select_and_judge(
     if best is None:  # it fails on other records than those that it was fitted to
         selected, rivals, best = selection.baseline, [], base
     holdout = compare_holdout_errors(base, best)
-    return JudgedSelection(
-        selection, selected, rivals, base, best, holdout, FitTable(scores), problem.model, tuple(checks)
-    )
+    return JudgedSelection(selection, selected, rivals, base, best, holdout, table, problem.model, checks)
 
 
 # Times that the noise is read off the residual and the selection repeated.

@@ -146,7 +146,7 @@ SEARCH_REFIT_ITERATIONS = 60
 # Substeps of a sample that a refit of the search takes at most, unless the plain model needs more: a candidate that does is stiff by its
 # constants alone, and minutes would not make it the answer. The last fit knows no such limit.
 MAX_SUBSTEPS = 16
-# The same where a cost is only predicted, to rank candidates: with the steps of a refit a stiff model would take minutes to extend.
+# Substeps of a sample where a cost is only predicted, to rank candidates: with those of a refit a stiff model would take minutes to extend.
 PREDICTION_SUBSTEPS = 8
 # How many times as many it takes if it is unstable with so few. One that is so still is out.
 UNSTABLE_FACTOR = 2

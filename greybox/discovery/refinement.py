@@ -269,7 +269,7 @@ def _prefer_simpler(
 
 # Share of the remaining rms misfit that the effect must remove on the estimation records.
 ESTIMATION_SHARE = 0.02
-# The same on the validation records.
+# Share of the remaining rms misfit that it must remove on the validation records.
 VALIDATION_SHARE = 0.05
 # Standard errors, over blocks of the validation records, of what an added effect removes there at least: what helps in a few blocks and
 # harms in others is chance, and makes the other effects less certain for nothing.
@@ -315,7 +315,7 @@ def _criterion_gain(smaller: FittedCandidate, larger: FittedCandidate) -> float:
 
 # Starting points of each of these refits, which are short.
 REFINEMENT_REFIT_STARTS = 2
-# Those that are refitted to convergence: the ones that promise the lowest cost.
+# Further effects that are refitted to convergence: the ones that promise the lowest cost.
 REFINEMENT_FINISHED_CANDIDATES = 3
 
 

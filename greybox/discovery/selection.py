@@ -135,7 +135,7 @@ class SelectionStep:
 
 # A richer member of a family replaces a simpler one only if its cost is lower by more than this.
 CHILD_COST = 10.0
-# The same as a share of what the richer member gains over the plain model; the larger of the two counts.
+# Share of what the richer member gains over the plain model that this difference is at least.
 CHILD_SHARE = 0.003
 # Models whose criterion differs by less explain the records equally well.
 TIE_COST = 10.0

@@ -377,10 +377,10 @@ def refit_free_curves(
 
 # Most promising starting points from which it is refitted.
 SURROGATE_REFIT_STARTS = 1
-# Iterations after which a rival is given up...
+# Iterations of a rival after which it goes on only if it may come near the answer.
 QUICK_ITERATIONS = 8
-# The same for a free curve in the place of an effect: twice the rms error. From twice the cost of the model on it counts as far behind,
-# and after these iterations it is hardly above where it would end.
+# Cost of a free curve after these, over that of the answer, from which it is given up: twice the rms error. It is hardly above where it
+# would end.
 HOPELESS_CURVE = 4.0
 
 

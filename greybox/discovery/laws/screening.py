@@ -78,7 +78,7 @@ def list_unseen_states(model: Model) -> list[str]:
 # Standard deviation of the plain model's constants before the records are seen, over their values: the observer does not take them
 # further than the records ask.
 LAW_CONSTANT_SPREAD = 0.4
-# The same for constants of which nothing is known, over their values and at least over 1.
+# Standard deviation of constants of which nothing is known, over their values and at least over 1.
 UNKNOWN_SPREAD = 100.0
 # Decrease of minus twice the log-likelihood below which the observer's constants stand still.
 SETTLED_DECREASE = 0.5
@@ -86,7 +86,8 @@ SETTLED_DECREASE = 0.5
 MOST_SUBSTEPS = 8
 # Rows of a record that the observer runs over; of longer records every second, third... row.
 LAW_MOST_ROWS = 600
-# The same of a record with inputs: between rows that are skipped their mean acts, which a fast part of the plant does not believe.
+# Rows of a record with inputs that it runs over: between rows that are skipped their mean acts, which a fast part of the plant does not
+# believe.
 MOST_DRIVEN_ROWS = 1500
 
 
@@ -307,9 +308,9 @@ def choose_terms(
     return [ranked[k] for k in sorted((*simple, *rest))]
 
 
-# The same once a term is in the model, which may leave nothing to the process noise.
+# Intensities of the process noise that are tried once a term is in the model, which may leave nothing to it.
 FINER_INTENSITIES: tuple[float, ...] = (0.0001, 0.001, 0.01, 0.1, 1.0)
-# The same with a term in the model.
+# Gauss-Newton steps in the observer with a term in the model.
 TERM_STEPS = 3
 # Gauss-Newton steps in the observer with a term in the model where a state has no sensor: its start is a guess.
 UNSEEN_STEPS = 10

@@ -55,7 +55,7 @@ class LawProposal:
 OBSERVED_TERMS: tuple[int, ...] = (18, 24)
 # Of these a term is refitted only if its objective there (minus twice the log-likelihood) is within this of the best.
 LEADING_DECREASE = 100.0
-# The same once a term leaves only noise: others are refitted that may do so as well.
+# Distance of the objective of a term from the best one up to which it is refitted once a term leaves only noise: it may do so as well.
 RIVAL_DECREASE = 30.0
 # Terms that are refitted by simulation after that: alone, and as a second one.
 REFITTED_TERMS, SECOND_TERMS = 10, 4
