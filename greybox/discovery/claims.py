@@ -84,6 +84,8 @@ class Claim(ReadOnly):
         What wins most often where the claim does not hold: "" where it always does.
     equals
         Of a name: effects of other families that do the same in its place. No record of this kind separates them.
+    has_twin
+        Whether one of these does it with no more constants: neither is certain. A richer one is no objection to a simple one.
     joint
         Of a name: how probable it is that it or one of its equals is right.
     size
@@ -105,6 +107,7 @@ class Claim(ReadOnly):
     share: float = 0.0
     rival: str = ""
     equals: tuple[str, ...] = ()
+    has_twin: bool = False
     joint: float = 0.0
     size: float = 0.0
     frequency: float = 0.0
@@ -371,7 +374,7 @@ class Grounds:
         if not claim.name:
             return False
         # The certain answer is the model that is handed over, and a name that was held against no rival is not certain.
-        return not self.has_rivals or (self.names is not None and claim.name not in self.names)
+        return claim.has_twin or not self.has_rivals or (self.names is not None and claim.name not in self.names)
 
 
 NO_GROUNDS = Grounds()
@@ -487,15 +490,23 @@ class _Context:
         claim = replace(claim, probability=weigh_claim(claim))
         if depth < Depth.NAME or shown is None:
             return claim
-        equals = self._equals(best, shown)
+        equal_sets = self._equals(best, shown)
+        equals = tuple(dict.fromkeys(equal_sets.values()))
+        free = [s.candidate.free for s in self.draws.sets]
+        has_twin = any(free[k] <= free[best] for k in equal_sets)
         either = [h or any(f.name in equals for f in forms) for h, forms in zip(holds, self.forms, strict=True)]
-        return replace(claim, equals=equals, joint=weigh_claim(replace(claim, frequency=self.weights.share(either))))
+        return replace(
+            claim,
+            equals=equals,
+            has_twin=has_twin,
+            joint=weigh_claim(replace(claim, frequency=self.weights.share(either))),
+        )
 
-    def _equals(self, best: int, form: EffectForm) -> tuple[str, ...]:
-        """The effects of other families with which a set that is good does without this one, as often as not."""
+    def _equals(self, best: int, form: EffectForm) -> dict[int, str]:
+        """The effects of other families with which a set that is good does without this one, as often as not, by the set's number."""
         rest = Counter(f.name for f in self.forms[best]) - Counter([form.name])
         rounds = self.draws.good[:, best]
-        equals = []
+        equals = {}
         for k, forms in enumerate(self.forms):
             others = list((Counter(f.name for f in forms) - rest).elements())
             is_exchange = len(forms) == len(self.forms[best]) and len(others) == 1
@@ -506,8 +517,8 @@ class _Context:
             if sets[k].candidate.laws and sets[k].candidate.free > sets[best].candidate.free:
                 continue
             if float(self.draws.good[rounds, k].mean()) >= EQUAL_FREQUENCY:
-                equals.append(others[0])
-        return tuple(dict.fromkeys(equals))
+                equals[k] = others[0]
+        return equals
 
     def _form(self, value: Hashable, depth: Depth) -> str:
         """The form of what makes the claim, where the winners agree."""

@@ -193,6 +193,10 @@ def judge_test(
 EXCESS_AUTOCORRELATION = 0.03
 
 
+# Rms of the residual over the noise below which it is the integrator's error: that is no noise, and says nothing of the plant.
+NUMERICAL_ERROR = 1e-3
+
+
 def judge_rest(
     baseline: FittedCandidate,
     selected: FittedCandidate,
@@ -227,7 +231,7 @@ def judge_rest(
         DiscoveryRule.WHITE_RESIDUAL,
         autocorrelation,
         EXCESS_AUTOCORRELATION,
-        not autocorrelation > EXCESS_AUTOCORRELATION,
+        selected.per_sample < NUMERICAL_ERROR**2 or not autocorrelation > EXCESS_AUTOCORRELATION,
         subject,
     )
     explained = judge_holdout(holdout, noise_limits, policy)

@@ -283,6 +283,12 @@ def test_what_does_the_same_in_the_place_of_an_effect_is_its_equal():
     claims = weigh_claims(Draws(both.sets, both.errors, good, both.winner), (), (), 0.0)
     assert name_claim(claims, "coulomb_friction").equals == ("quadratic_damping",)
     assert list_tied_sets(claims, ["coulomb_friction"]) == [("quadratic_damping",)]
+    # With as many constants it is as good a name; with more it would be no objection.
+    assert not name_claim(claims, "coulomb_friction").is_established
+    both.sets[1].candidate.free += 1
+    richer = weigh_claims(Draws(both.sets, both.errors, good, both.winner), (), (), 0.0)
+    assert name_claim(richer, "coulomb_friction").is_established
+    assert name_claim(richer, "coulomb_friction").equals == ("quadratic_damping",)
 
 
 ONLY_NOISE, MORE = Decision(True, ()), Decision(False, ())

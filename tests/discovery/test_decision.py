@@ -160,6 +160,7 @@ NO_GAP, EXPLAINED, LEFT = (HoldoutError(*error, 1.0, "m") for error in ((1.0, 1.
         (9000.0, (1010.0, "a"), EXPLAINED, 0.0, True),
         (9000.0, (2000.0, "a"), EXPLAINED, 0.0, False),  # not clean
         (9000.0, (1010.0, "a"), EXPLAINED, 0.04, False),  # the residual has structure
+        (9000.0, (1000 * 0.00017**2, "a"), EXPLAINED, 0.9, True),  # exact data: what is left is the integrator's
         (9000.0, (1010.0, "a"), LEFT, 0.0, False),  # not on other records
     ],
 )
