@@ -1,10 +1,14 @@
 """Where refits start: origins, amplitudes, shapes and parents. Nothing is simulated."""
 
+from itertools import pairwise
+from types import SimpleNamespace
+
 import pytest
 
 from greybox.discovery.candidates import generate_child_starting_points, generate_starting_points
 from greybox.discovery.problem import FittedCandidate
 from greybox.model.effect import Effect
+from greybox.model.effects.signal_path import list_lags
 from greybox.model.effects.starts import count_shapes
 from greybox.model.signals import Parameter
 from models.micro_actuator import micro_actuator
@@ -51,6 +55,15 @@ def test_every_amplitude_meets_every_shape():
     points = starting_points(effect, fitted(PLAIN))
     assert count_shapes(effect, None) == 3
     assert {(p["corner"], p["size"]) for p in points} == {(c, s) for c in (1.0, 2.0, 3.0) for s in (0.1, 0.5)}
+
+
+@pytest.mark.parametrize(("rows", "expected"), [(500, 3), (6000, 4), (20_000, 5)])
+def test_a_lag_is_searched_for_on_all_scales_of_time_of_a_record(rows, expected):
+    period = 1e-3
+    lags = list_lags(SimpleNamespace(period=period, duration=rows * period))
+    assert len(lags) == expected
+    assert lags[0] == pytest.approx(0.5 * period) and lags[-1] <= max(15 * period, 0.1 * rows * period)
+    assert max(after / before for before, after in pairwise(lags)) <= 10 * (1 + 1e-12)
 
 
 def test_start_values_stay_within_the_bounds():

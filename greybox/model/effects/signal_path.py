@@ -167,6 +167,19 @@ rectified_reading = Effect(
 
 # Time constant (s) of a lag that no record shows.
 NEUTRAL_LAG = 1e-08
+# Time constants from which a lag is searched for, in samples...
+LAG_SAMPLES = (0.5, 3.0, 15.0)
+# ...and from there on each so many times the one before, up to this share of the record: a lag of seconds is not found from a start at
+# milliseconds.
+LAG_FACTOR, LONGEST_LAG = 10.0, 0.1
+
+
+def list_lags(scales: Scales) -> list[float]:
+    """Time constants (s) from which a lag is searched for: on all scales of time of a record."""
+    lags = [samples * scales.period for samples in LAG_SAMPLES]
+    while LAG_FACTOR * lags[-1] <= LONGEST_LAG * scales.duration:
+        lags.append(LAG_FACTOR * lags[-1])
+    return lags
 
 
 valve_lag = Effect(
@@ -189,7 +202,7 @@ valve_lag = Effect(
     source="first order of a spool with its spring and solenoid",
     amplitudes=("tau_v",),
     neutral={"tau_v": NEUTRAL_LAG},
-    grid=lambda s: {"tau_v": [0.5 * s.period, 3 * s.period, 15 * s.period]},
+    grid=lambda s: {"tau_v": list_lags(s)},
     limits=lambda s: {"tau_v": (min(NEUTRAL_LAG, 1e-4 * s.period), s.duration)},
     needs=("valve",),
     occurs=Occurrence.COMMON,
@@ -215,7 +228,7 @@ drive_lag = replace(
     source="first order of an amplifier, a heater or a pump",
     amplitudes=("tau_u",),
     neutral={"tau_u": NEUTRAL_LAG},
-    grid=lambda s: {"tau_u": [0.5 * s.period, 3 * s.period, 15 * s.period]},
+    grid=lambda s: {"tau_u": list_lags(s)},
     limits=lambda s: {"tau_u": (min(NEUTRAL_LAG, 1e-4 * s.period), s.duration)},
     needs=(),
     occurs=Occurrence.COMMON,
@@ -492,7 +505,7 @@ sensor_lag = Effect(
     source="filter of a sensor or its amplifier",
     amplitudes=("tau_s",),
     neutral={"tau_s": NEUTRAL_LAG},
-    grid=lambda s: {"tau_s": [0.5 * s.period, 3 * s.period, 15 * s.period]},
+    grid=lambda s: {"tau_s": list_lags(s)},
     limits=lambda s: {"tau_s": (min(NEUTRAL_LAG, 1e-4 * s.period), s.duration)},
     needs=("slow_sensor",),
     occurs=Occurrence.RARE,
