@@ -71,10 +71,10 @@ def propose_noise_check(base: Fit) -> tuple[Finding, ...]:
 
 def separate_ties(answer: Sequence[str], alternatives: Sequence[Sequence[str]]) -> tuple[Finding, ...]:
     """What would settle which of some sets that the records cannot tell apart is the right one, for each alternative."""
-    sets = [(sorted(set(answer) - set(other)), sorted(set(other) - set(answer))) for other in alternatives]
+    sets = [(sorted(set(answer) - set(rival)), sorted(set(rival) - set(answer))) for rival in alternatives]
     return tuple(
-        Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=" + ".join(here), values={"rival": " + ".join(there)})
-        for here, there in sets
+        Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=" + ".join(names), values={"rival": " + ".join(others)})
+        for names, others in sets
     )
 
 
