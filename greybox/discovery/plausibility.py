@@ -216,7 +216,7 @@ class _Order:
         best = max(self.equal, key=lambda k: shares[k])
         first = winners[0] if winners else best
         others = [best] if candidates[best].names not in (candidates[first].names, candidates[chosen].names) else []
-        odds = math.exp(min(self._weigh(chosen, parts) - self._weigh(first, parts), math.log(MOST_ODDS)))
+        odds = min(math.exp(self._weigh(chosen, parts) - self._weigh(first, parts)), MOST_ODDS)
         values = {
             "by_records": [" + ".join(candidates[k].names) for k in (first, *others)],
             "odds": odds,

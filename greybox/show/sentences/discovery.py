@@ -14,6 +14,7 @@ from greybox.discovery.decision import Grade
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
+from greybox.discovery.plausibility import MOST_ODDS
 from greybox.model.parts import TOLD, part
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders, sentence
@@ -350,7 +351,7 @@ def _usual_first(finding: Finding) -> str:
     by_records = " or ".join(map(rival_text, v["by_records"]))
     text = f"By the records alone {by_records}; by what such rigs usually have, {rival_text(finding.subject)}"
     if v["odds"] > 1.5:
-        text += f" ({v['odds']:.0f} to 1)"
+        text += f" ({v['odds']:.0f} to 1{' or more' if v['odds'] >= MOST_ODDS else ''})"
     shares = [f"{100 * v[key]:.0f} %" for key in ("share", "best_share")]
     return f"{text}: it takes {shares[0]} of the error, the best of all ({rival_text(v['best'])}) {shares[1]}."
 

@@ -162,6 +162,18 @@ def test_a_value_out_of_bounds_is_told_and_the_old_one_stays(page) -> None:
     assert "B" in page.text_content("#message") and value(page, "B") == before
 
 
+def test_what_the_rig_has_is_ticked(page) -> None:
+    page.click("section[aria-labelledby=h-parts] summary")
+    page.check("input[aria-label='lacks gear']")
+    until(page, "document.querySelector(\"input[aria-label='lacks gear']\").checked")
+    page.check("input[aria-label='has gear']")
+    until(page, "!document.querySelector(\"input[aria-label='lacks gear']\").checked")
+    page.uncheck("input[aria-label='has gear']")
+    until(page, "!document.querySelector(\"input[aria-label='has gear']\").checked")
+    page.click("section[aria-labelledby=h-parts] summary")
+    settled(page)
+
+
 def test_friction_is_added_with_a_click_and_fitted(page) -> None:
     page.click("#shelf summary")
     page.fill("#filter", "coulomb")
