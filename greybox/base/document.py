@@ -181,16 +181,27 @@ class Section:
 
 @dataclass(frozen=True)
 class Document:
-    """What is said of a result.
+    """What is said of a result, once for the terminal and for the page.
 
     Parameters
     ----------
     title
         What it is.
-    brief
-        What plain text shows, at a glance.
-    question, verdict
-        What a page answers, and the answer; with ``evidence``, the one figure that convinces, beside it.
+    answer
+        One sentence with its two or three numbers: the first line of plain text, and the first of the page's box. A small value without
+        one is all ``details``.
+    tone
+        The colour of the box.
+    table
+        The one table that stands below the answer, with the facts or texts that go with it.
+    notes
+        What to know before trusting it, the worst first: plain text has the first `MOST_NOTES`, the page has all.
+    details
+        What plain text shows on request, beside what stands above.
+    question
+        What a page answers.
+    evidence
+        The one figure that convinces: it stands below the box.
     sections
         The rest of the page; a result without sections has no page of its own.
     kind
@@ -198,9 +209,17 @@ class Document:
     """
 
     title: Text
-    brief: Sequence[Block] = ()
+    answer: Text = ""
+    tone: Tone = Tone.PLAIN
+    table: Sequence[Block] = ()
+    notes: Sequence[Text] = ()
+    details: Sequence[Block] = ()
     question: Text = ""
-    verdict: Paragraphs = Paragraphs(())
+    evidence: Sequence[FigureBlock] = ()
     sections: Sequence[Section] = ()
     kind: str = "report"
-    evidence: Sequence[FigureBlock] = ()
+
+    @property
+    def verdict(self) -> Paragraphs:
+        """The answer and its notes, for the page of another result."""
+        return Paragraphs([self.answer, *self.notes], self.tone)

@@ -279,7 +279,7 @@ def validate_candidate(
     validation = ValidationSet.of(validation)
     if not validation:
         return fit
-    return replace(fit, validation=validation.run(fit.model, fit.noise.std, problem.options))
+    return replace(fit, validation=validation.run(fit.model, fit.noise.std, problem.options).over(fit.noise))
 
 
 # How often a fit is begun again where the last one ended, until that leaves it where it is.
@@ -356,7 +356,8 @@ def finish_fit(
         # The constants of a fit that did not end are no better than those where it began.
         if fit.success and not again.success:
             return compare_with_refit(fit, again)
-        again = replace(again, validation=validation.run(again.model, again.noise.std, user.options))
+        judged = validation.run(again.model, again.noise.std, user.options).over(again.noise)
+        again = replace(again, validation=judged)
         best = compare_with_refit(fit, again)
         if best.is_settled:
             return RefitComparison(again)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple, Self
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import norm
 
-from greybox.base.numerics import ROWS_AT_A_TIME
+from greybox.base.numerics import ROWS_AT_A_TIME, TINY
 from greybox.data.noise.growing import GrowingNoise
+from greybox.data.noise.noise_model import BoundDirection, NoiseBound, NoiseModel, NoiseSource
+from greybox.data.noise.spectrum import estimate_spread
+from greybox.estimation.options import FitOptions, RobustLoss
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, Trace
 from greybox.estimation.transcription.problem import EstimationProblem
@@ -52,60 +55,87 @@ def measure_errors(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> ErrorSize:
     return ErrorSize(size / math.sqrt(samples), best_fit, samples)
 
 
-# Of what a fit keeps: misfit of each output, over its noise.
+# Of what a fit keeps: misfit of each output, over its noise. Nothing else divides an error by a noise for a reader.
 
 
-def compute_misfits(problem: EstimationProblem, traces: Sequence[Trace], skip: int = 0) -> dict[str, Misfit]:
-    """Free-run error of each output over all records, their first ``skip`` rows left out."""
-    noise = {o.name: problem.noise.std[j] for j, o in enumerate(problem.model.outputs)}
-    units = {o.name: o.unit for o in problem.model.outputs}
-    return {
-        name: compute_misfit(traces, name, units[name], noise[name], skip, problem.noise.growth.get(name))
-        for name in noise
-        if any(name in trace.measured for trace in traces)
-    }
-
-
-def compute_misfit(
-    traces: Sequence[Trace], output: str, unit: str, noise: float, skip: int = 0, growth: GrowingNoise | None = None
-) -> Misfit:
-    """Error of one output over the records that have it; over the noise of each row where that is not the same in all."""
-    seen = [trace for trace in traces if output in trace.measured]
-    rmse, best_fit, samples = measure_errors((t.measured[output][skip:], t.simulated[output][skip:]) for t in seen)
-    ratio = rmse / noise
-    known_growth = None if growth is None or growth.unknown else growth
-    if samples and (known_growth or any(output in t.noise for t in seen)):
-        # (y - yhat) / sd, each row over its own noise
-        scaled = (
-            known_growth.scale_errors(t.measured[output], t.simulated[output])
-            if known_growth
-            else t.residual(output) / t.noise.get(output, noise)
-            for t in seen
-        )
-        zeros = (np.where(np.isfinite(t.measured[output][skip:]), 0.0, np.nan) for t in seen)
-        ratio = measure_errors((zero, each[skip:]) for zero, each in zip(zeros, scaled, strict=True)).rmse
-    return Misfit(rmse, unit, best_fit, ratio, samples)
-
-
-def compute_noise_ratios(problem: EstimationProblem, misfit: Mapping[str, Misfit]) -> dict[str, float]:
-    """Misfit over noise of each output; of a robust fit that of the bulk, which outliers do not enlarge."""
-    if problem.loss is None:
-        return {name: m.noise_ratio for name, m in misfit.items()}
-    scales = dict(zip((o.name for o in problem.model.outputs), problem.loss.scale, strict=True))
-    return {name: float(scales[name]) for name in misfit}
+def compute_misfits(
+    problem: EstimationProblem, traces: Sequence[Trace], skip: int = 0, loss: RobustLoss | None = None
+) -> dict[str, Misfit]:
+    """Free-run error of each output over all records, their first ``skip`` rows left out; without the outliers of a robust ``loss``."""
+    noise, result = problem.noise, {}
+    for j, output in enumerate(problem.model.outputs):
+        if any(output.name in trace.measured for trace in traces):
+            std, bound = float(noise.std[j]), noise.bound(output.name)
+            # A level that is the residual's own is its ceiling already: the bound is of before the fit.
+            if bound is None or bound.source is NoiseSource.RESIDUAL or bound.direction is not BoundDirection.AT_MOST:
+                bound = bound and replace(bound, level=std)
+            growth = noise.growth.get(output.name)
+            if bound is not None and growth is not None:  # of each row, and not of the rms of all rows
+                bound = replace(bound, direction=BoundDirection.ABOUT)
+            result[output.name] = _compute_misfit(
+                traces, output.name, output.unit, std, bound, loss or problem.loss, growth, skip
+            )
+    return result
 
 
 def compute_record_misfits(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, Misfit]:
     """Misfit of one record of a fit by output, without its first ``skip`` rows."""
     units = {o.name: o.unit for o in fit.model.outputs}
+    loss = FitOptions.from_data(fit.provenance.options).to_loss()
     # An output that the fitted records lack has the noise by which the validation judged it.
-    judged = {name: m.rmse / m.noise_ratio for name, m in fit.validation.misfit.items() if m.noise_ratio > 0}
-    noise = {**judged, **fit.noise.std}
-    growth = fit.noise.growth
+    judged = {name: m.noise for name, m in fit.validation.misfit.items() if m.noise is not None}
+    levels, growth = {**judged, **fit.noise.std}, fit.noise.growth
     return {
-        name: compute_misfit([trace], name, units[name], noise.get(name, np.nan), skip, growth.get(name))
+        name: _compute_misfit(
+            [trace], name, units[name], levels.get(name, np.nan), fit.noise.level(name), loss, growth.get(name), skip
+        )
         for name in trace.measured
     }
+
+
+def _compute_misfit(
+    traces: Sequence[Trace],
+    output: str,
+    unit: str,
+    std: float,
+    bound: NoiseBound | None,
+    loss: RobustLoss | None,
+    growth: GrowingNoise | None,
+    skip: int,
+) -> Misfit:
+    """Error of one output over the records that have it, and over its noise: ``std``, or what ``bound`` says of it."""
+    seen = [trace for trace in traces if output in trace.measured]
+    rmse, best_fit, samples = measure_errors((t.measured[output][skip:], t.simulated[output][skip:]) for t in seen)
+    level = std if bound is None else bound.level
+    known: dict[str, Any] = {} if bound is None else {"source": bound.source, "direction": bound.direction}
+    known_growth = None if growth is None or growth.unknown else growth
+    by_row = known_growth is not None or any(output in t.noise for t in seen)
+    if not samples or (loss is None and not by_row):
+        return Misfit(rmse, unit, best_fit, rmse / level, samples, level, **known)
+    # (y - yhat) / sd, each row over its own noise where that is not the same in all
+    scaled = [
+        (
+            known_growth.scale_errors(t.measured[output], t.simulated[output])
+            if known_growth
+            else t.residual(output) / t.noise.get(output, level)
+        )[skip:]
+        for t in seen
+    ]
+    if loss is not None:
+        # Outliers are those of the bulk of this residual: a model that is wrong has few.
+        spread = max(estimate_spread(np.concatenate(scaled), robust=True), TINY)
+        bulk = replace(loss, scale=np.array([spread]))
+        scaled = [np.where(bulk.outliers(each[:, None])[:, 0], np.nan, each) for each in scaled]
+    ratio = measure_errors((np.where(np.isfinite(each), 0.0, np.nan), each) for each in scaled).rmse
+    ratio /= loss.bulk_size() if loss is not None else 1.0
+    noise = (rmse / ratio if ratio > 0 else level) if by_row else level
+    return Misfit(rmse, unit, best_fit, ratio, samples, noise, without_outliers=loss is not None, **known)
+
+
+def compute_weighed_ratio(noise: NoiseModel, output: str, misfit: Misfit) -> float:
+    """Misfit over the level that a fit weighs an output with, which may lie below the ceiling that is known of its noise."""
+    is_ceiling = misfit.direction is BoundDirection.AT_MOST and misfit.source is not NoiseSource.RESIDUAL
+    return misfit.noise_ratio * (noise.ceiling_ratio(output) if is_ceiling else 1.0)
 
 
 # Of free runs and predictions side by side.

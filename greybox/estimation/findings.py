@@ -17,7 +17,7 @@ from greybox.data.experiment import Experiment, collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance, compute_interval, compute_quantile
-from greybox.estimation.errors import compute_noise_ratios
+from greybox.estimation.errors import compute_weighed_ratio
 from greybox.estimation.identifiability.combinations import find_determined_formulas
 from greybox.estimation.identifiability.transfer_functions import (
     Polynomial,
@@ -197,24 +197,16 @@ def find_status_details(optimum: Optimum) -> tuple[Finding, ...]:
     else:
         if failed:
             return (locate_simulation_failure(optimum.problem, optimum.variables, *failed),)
-        ratios = compute_noise_ratios(optimum.problem, misfit)
+        ratios = {name: m.noise_ratio for name, m in misfit.items()}
     if not ratios:
         return ()
+    worst = max(ratios, key=lambda name: ratios[name])
     if isinstance(optimum, PredictionOptimum):
-        worst = max(ratios, key=lambda name: ratios[name])
         both = {"one_step": ratios[worst], "free_run": misfit[worst].noise_ratio}
         return (Finding(EstimationCode.PREDICTION_RATIO, Severity.NOTE, worst, both),)
-    noise = optimum.problem.noise
-    # A level that is the residual's own is its ceiling already: the bound is of before the fit.
-    ceilings = {
-        name: 1.0 if noise.sources.get(name) is NoiseSource.RESIDUAL else noise.ceiling_ratio(name) for name in ratios
-    }
-    # The worst output is the one with the largest ratio that is told: at least so many times a noise that has no more than a ceiling.
-    worst = max(ratios, key=lambda name: ratios[name] / ceilings[name])
-    values: dict[str, Any] = {"ratio": ratios[worst], "without_outliers": bool(optimum.problem.loss)}
-    bound = noise.bound(worst)
-    if bound is not None and bound.direction is BoundDirection.AT_MOST:
-        values["least_ratio"] = ratios[worst] / ceilings[worst]
+    values: dict[str, Any] = {"ratio": ratios[worst], "without_outliers": misfit[worst].without_outliers}
+    if misfit[worst].direction is BoundDirection.AT_MOST:
+        values["least_ratio"] = ratios[worst]
     return (Finding(EstimationCode.MISFIT_RATIO, Severity.NOTE, worst, values),)
 
 
@@ -226,7 +218,7 @@ def is_at_noise(optimum: Optimum) -> bool:
 def is_output_at_noise(optimum: Optimum, name: str) -> bool:
     """Whether nothing but noise is left to explain of an output. A level that is the residual's own says no such thing."""
     is_told = optimum.problem.noise.sources.get(name) is not NoiseSource.RESIDUAL
-    return is_told and optimum.misfit[name].noise_ratio <= NOISE_RATIO
+    return is_told and compute_weighed_ratio(optimum.problem.noise, name, optimum.misfit[name]) <= NOISE_RATIO
 
 
 def _list_parameters(code: str, names: Sequence[str], severity: Severity = Severity.WARNING) -> list[Finding]:
@@ -267,7 +259,8 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     # A noise that is the residual's own never stands against it: a short table is judged by what the model follows alone.
     sources = problem.noise.sources
     lost = {n: best_fit[n] for n in free_run if best_fit[n] < FOLLOWED_PERCENT}
-    far = {n: followed for n, followed in lost.items() if free_run[n].noise_ratio > FAR_NOISE_RATIO}
+    weighed = {n: compute_weighed_ratio(problem.noise, n, m) for n, m in free_run.items()}
+    far = {n: followed for n, followed in lost.items() if weighed[n] > FAR_NOISE_RATIO}
     short = {n: followed for n, followed in lost.items() if sources.get(n) is NoiseSource.RESIDUAL}
     if far or short:
         severity = Severity.ERROR if far else Severity.WARNING
@@ -290,9 +283,8 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
         warn(EstimationCode.NOTHING_TO_EXPLAIN, best_fit=best_fit)
     # Misfit above the noise; what it means depends on how the noise is known.
     # Beyond the level that is weighed with it may be noise up to the ceiling.
-    ratios, noise = compute_noise_ratios(problem, free_run), problem.noise
-    louder = {n: ratio for n, ratio in ratios.items() if ratio > NOISE_RATIO * noise.ceiling_ratio(n)}
-    certain = any(ratio > find_certain_ratio(noise, n) for n, ratio in louder.items())
+    louder = {n: weighed[n] for n, m in free_run.items() if m.noise_ratio > NOISE_RATIO}
+    certain = any(ratio > find_certain_ratio(problem.noise, n) for n, ratio in louder.items())
     if louder:
         code = EstimationCode.MISFIT_ABOVE_NOISE if certain else EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE
         warn(code, ratios=louder)
@@ -307,9 +299,7 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     # The integration step: what it leaves in the outputs, and by how much half of it moves parameters.
     outputs = [o.name for o in problem.model.outputs]
     error = dict(zip(outputs, optimum.solution.integration_error, strict=True))
-    coarse = [
-        n for n, m in free_run.items() if error[n] > INTEGRATION_ERROR and error[n] > INTEGRATION_SHARE * m.noise_ratio
-    ]
+    coarse = [n for n in free_run if error[n] > INTEGRATION_ERROR and error[n] > INTEGRATION_SHARE * weighed[n]]
     if coarse:
         warn(EstimationCode.INTEGRATION_TOO_COARSE, outputs=coarse)
     deviations, shift = np.sqrt(np.diag(covariance.covariance)), optimum.step_shift

@@ -233,7 +233,7 @@ def fit(
             skip=max(skip, beginning),
             initial_rows=beginning,
             options=options,
-        )
+        ).over(result.noise)
         issues = (
             *(
                 f
@@ -665,7 +665,13 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
             {o.name: float(solution.integration_error[j]) for j, o in measured},
             dict(zip(variables.names, optimum.step_shift.tolist(), strict=True)),
         ),
-        provenance=result_parts.Provenance(options.to_data(), equations_text(model), declare(model), read_versions()),
+        provenance=result_parts.Provenance(
+            options.to_data(),
+            equations_text(model),
+            declare(model),
+            read_versions(),
+            {q.name: q.value for q in model.free_parameters},
+        ),
         constraints=result_parts.FitConstraints(
             {tie.name: tie.formula for tie in model.ties}, tied, per_experiment, priors
         ),

@@ -85,6 +85,13 @@ class RobustLoss:
         _, psi, _, curvature = self.terms(np.repeat(t[:, None], len(self.scale), axis=1))
         return (w @ psi**2) / (w @ curvature)
 
+    def bulk_size(self) -> float:
+        """Root mean square of normal noise of variance one without the samples that count as outliers: a little less than 1."""
+        t = np.linspace(-NORMAL_QUADRATURE_WIDTH, NORMAL_QUADRATURE_WIDTH, NORMAL_QUADRATURE_POINTS)
+        one = replace(self, scale=np.ones(1))
+        weight = np.where(one.outliers(t[:, None])[:, 0], 0.0, np.exp(-(t**2) / 2))
+        return float(np.sqrt(weight @ t**2 / weight.sum()))
+
     def outliers(self, r: np.ndarray) -> np.ndarray:
         """Which residuals (N, ny) count for much less than they would in least squares."""
         is_measured = np.isfinite(r)

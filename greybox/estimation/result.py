@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,6 +13,7 @@ import numpy as np
 from greybox.base import FileKind, Finding, Severity, StoredResult, from_json_data, parse_unit, read_json
 from greybox.base.errors import DataError, GreyboxError, ModelError, shorten
 from greybox.base.values import Printable, ReadOnly
+from greybox.data.noise import BoundDirection
 from greybox.data.problems import RowLabels, find_array_problems
 from greybox.estimation import result_parts
 from greybox.model import Model
@@ -97,7 +98,7 @@ class Fit(Printable, ReadOnly, StoredResult):
         model=model.name effects!=model.effect_names status=solver.status success=solver.success meaning=str(solver) parameters
         misfit traces free=uncertainty.free covariance=uncertainty.covariance noise=noise.std noise_source=str(noise)
         discretisation=discretisation.label integration_error=discretisation.error cost=solver.cost solver=solver.figures
-        options=provenance.stored_options equations=provenance.equations declared?=provenance.declared
+        options=provenance.stored_options equations=provenance.equations declared?=provenance.declared start?=provenance.start
         versions=provenance.versions notes=str(findings) findings
         status_details=solver.details search=solver.strategy misfit_at_least validation=validation.misfit
         validation_at_least validation_traces=validation.traces noise_sources=noise.sources noise_colour=noise.colour
@@ -135,9 +136,12 @@ class Fit(Printable, ReadOnly, StoredResult):
 
 
 def _least_ratios(noise: result_parts.FitNoise, misfit: Mapping[str, result_parts.Misfit]) -> dict[str, float]:
-    bounds = {name: noise.bound(name) for name in misfit}
-    ratios = {name: bound.least_ratio(misfit[name].rmse) for name, bound in bounds.items() if bound is not None}
-    return {name: ratio for name, ratio in ratios.items() if ratio is not None}
+    # A file of an older version holds no more than the rms.
+    known = {
+        n: m if m.noise is not None else replace(m, noise_ratio=1.0, noise=m.rmse).over(noise, n)
+        for n, m in misfit.items()
+    }
+    return {name: m.noise_ratio for name, m in known.items() if m.direction is BoundDirection.AT_MOST}
 
 
 def load_fit(path: str | Path, model: Model | Plant, *, insist: bool = False) -> Fit:

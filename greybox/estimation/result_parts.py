@@ -102,7 +102,7 @@ class PriorCheck:
 
 @dataclass(frozen=True)
 class Misfit:
-    """Free-run error of one output over the records.
+    """Free-run error of one output over the records, and over its noise. `greybox.estimation.errors` makes it; everything else prints it.
 
     Attributes
     ----------
@@ -111,9 +111,18 @@ class Misfit:
     best_fit_percent
         ``100 (1 - ||y - yhat|| / ||y - mean(y)||)``.
     noise_ratio
-        ``rmse`` over the standard deviation of the noise: 1 means that only noise is left.
+        ``error`` over ``noise``: 1 means that only noise is left.
     samples
         How many went into it.
+    noise
+        The standard deviation that the error is divided by; None of a file that does not hold it. Where it differs from row to row, each
+        row is divided by its own, and this is the error over that ratio.
+    source
+        Where that noise is known from.
+    direction
+        Whether the noise is about as large, at most or at least: then the error is at least, or at most, so many times the noise.
+    without_outliers
+        Whether the samples that a robust loss takes for outliers are left out of ``error``.
     """
 
     rmse: float
@@ -121,6 +130,29 @@ class Misfit:
     best_fit_percent: float
     noise_ratio: float
     samples: int
+    noise: float | None = None
+    source: NoiseSource | None = None
+    direction: BoundDirection | None = None
+    without_outliers: bool = False
+
+    KEYS: ClassVar[str] = (
+        "rmse unit best_fit_percent noise_ratio samples error? noise? source? direction? without_outliers?"
+    )
+
+    @property
+    def error(self) -> float | None:
+        """What is held against the noise: ``rmse``, without the outliers of a robust fit; None where the noise is not held."""
+        return None if self.noise is None else self.noise_ratio * self.noise
+
+    def over(self, noise: FitNoise, output: str) -> Misfit:
+        """The same error over the noise of ``output`` as a fit knows it."""
+        bound = noise.level(output)
+        if bound is None:
+            return self
+        known = replace(self, source=bound.source, direction=bound.direction)
+        if output in noise.growth or not bound.level > 0 or not self.error:  # each row over its own
+            return known
+        return replace(known, noise_ratio=self.error / bound.level, noise=bound.level)
 
 
 @dataclass(frozen=True)
@@ -225,6 +257,10 @@ class Validation(ReadOnly):
     def __bool__(self) -> bool:
         return bool(self.misfit)
 
+    def over(self, noise: FitNoise) -> Validation:
+        """The same runs, their errors over the noise as the fit knows it."""
+        return replace(self, misfit={name: m.over(noise, name) for name, m in self.misfit.items()})
+
     @property
     def noise_ratio(self) -> float:
         """Rms error over noise, all outputs together."""
@@ -275,6 +311,13 @@ class FitNoise(Printable, ReadOnly):
         if output in self.bounds or source is None:
             return self.bounds.get(output)
         return NoiseBound(self.std.get(output, float("nan")), source.direction, source)
+
+    def level(self, output: str) -> NoiseBound | None:
+        """What an error of an output is held against: the level that it was weighed with, or the ceiling where only that is known."""
+        bound = self.bound(output)
+        if bound is None or bound.direction is BoundDirection.AT_MOST:
+            return bound
+        return replace(bound, level=self.std.get(output, bound.level))
 
     @property
     def levels(self) -> dict[str, float]:
@@ -451,12 +494,15 @@ class Provenance(ReadOnly):
         What else its model stated (`greybox.model.definition.declare`): constants with units and bounds, starts of states, the plant.
     versions
         Program -> version of what computed it.
+    start
+        Values that the free constants began with.
     """
 
     options: Mapping[str, Any] = field(default_factory=dict)
     equations: str = ""
     declared: Mapping[str, str] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
+    start: Mapping[str, Finite] = field(default_factory=dict)
 
     @property
     def stored_options(self) -> Mapping[str, Any]:

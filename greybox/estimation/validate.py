@@ -182,4 +182,4 @@ def validate(
         problem = refine_integration(replace(problem, variables=variables), options)
         runs = tuple(problem.shooting(variables).simulate(variables.here))
     traces = optimum.make_traces(problem, runs)
-    return result_parts.Validation(errors.compute_misfits(problem, traces, skip), traces)
+    return result_parts.Validation(errors.compute_misfits(problem, traces, skip, options.to_loss()), traces)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 from greybox.base import FileKind, Finding, Printable
 from greybox.estimation import residuals, result, result_parts, score, uncertainty
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
+from greybox.model import Model
 from greybox.simulation.simulate import Simulation
 
 
@@ -24,16 +24,13 @@ class RecordMisfit:
         Their names.
     misfit
         The error there.
-    at_least
-        The same over the noise where that is only bounded: it is at least so many times the noise.
     """
 
     record: str
     output: str
     misfit: result_parts.Misfit
-    at_least: float | None = None
 
-    KEYS: ClassVar[str] = "record output misfit.* at_least?"
+    KEYS: ClassVar[str] = "record output misfit.*"
 
 
 @dataclass(frozen=True)
@@ -82,10 +79,11 @@ class FitAnswer(Printable):
 
 @dataclass(frozen=True)
 class SimulationAnswer(Printable):
-    """A run and the record that was written from it."""
+    """A run of ``model``, and the standard deviations of the ``noise`` that was added to the record written from it."""
 
     run: Simulation
-    file: Path
+    model: Model
+    noise: str = ""
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,6 @@ class LinearAnswer(Printable):
 
     linear: Linearisation
     family: ModelFamily | None
-    files: tuple[Path, ...]
 
 
 @dataclass(frozen=True)
@@ -105,4 +102,3 @@ class CodeAnswer(Printable):
     kind: str
     step: float | None
     step_name: str
-    files: tuple[Path, ...]

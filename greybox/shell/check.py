@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_format
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from greybox.shell import inputs
 from greybox.shell.study import (
@@ -16,9 +17,13 @@ from greybox.shell.study import (
     Answer,
     Command,
     Idle,
+    NextCommand,
     Study,
 )
 from greybox.shell.terminal import write_report
+
+if TYPE_CHECKING:
+    from greybox.data.survey import FileSurvey
 
 
 def check(study: Study) -> Answer:
@@ -46,7 +51,11 @@ def check(study: Study) -> Answer:
     )
     saved = result.save(folder / "check.json")
     return Answer(
-        result, lambda _: format_json(result.as_dict()), [saved], lambda: write_report(result, folder / "report.html")
+        result,
+        lambda _: format_json(result.as_dict()),
+        [saved],
+        lambda: write_report(result, folder / "report.html"),
+        next=study.then("fit", study.model, *(study.estimation or ["RECORD.csv"])),
     )
 
 
@@ -80,7 +89,20 @@ def look_at_files(study: Study) -> Answer:
     ]
     data = [survey.as_dict() for survey in surveys]
     shown = data if len(data) > 1 else data[0]
-    return Answer("\n\n".join(map(str, surveys)), lambda _: json_format.dumps(shown, indent=2))
+    return Answer(
+        "\n\n".join(map(str, surveys)), lambda _: json_format.dumps(shown, indent=2), next=_next(study, surveys[0])
+    )
+
+
+def _next(study: Study, survey: FileSurvey) -> NextCommand | str:
+    """The check of a model whose signals are all in the file; else a project in which one is written."""
+    from greybox.shell.project import list_models
+
+    present = {signal.name for signal in survey.signals}
+    for entry in list_models().models:
+        if {*(i.name for i in entry.model.inputs), *(o.name for o in entry.model.outputs)} <= present:
+            return study.then("check", entry.name, study.model, *study.estimation, alone=True)
+    return "greybox init my_rig"
 
 
 USED = (*ESTIMATING, *INTEGRATING, Study.outputs)

@@ -25,6 +25,7 @@ from greybox.shell.terminal import (
     exit_with_error,
     print_answer,
     print_findings,
+    terminal_width,
 )
 
 STUDY_HELP = " A study file, study.toml, replaces {}, records and options."
@@ -66,7 +67,7 @@ def make_command(name: str, command: Command, commands: Mapping[str, Command]) -
             try:
                 answer = command.run(study)
                 if answer is not None:
-                    _show(answer, study)
+                    _show(answer, study, commands)
             finally:
                 if (files := replaced()) and not study.silent:
                     print_findings([Finding(CommandCode.FILES_REPLACED, values={"files": files})])
@@ -217,12 +218,15 @@ def confirm_model(study: Study, named_model: str | None = None) -> Study:
     return study
 
 
-def _show(answer: Answer, study: Study) -> None:
+def _show(answer: Answer, study: Study, commands: Mapping[str, Command]) -> None:
     """Print an answer as text or JSON, write what goes with it, and end with its exit code."""
-    from greybox.show.sentences.shell import report_line, written
-
+    width = terminal_width()
     if not (study.silent or study.json):
-        print_answer(str(answer.text))
+        from greybox.show.describe import text
+        from greybox.show.printers.text import wrap, wrap_command
+
+        shown = answer.text
+        print_answer(shown if isinstance(shown, str) else text(shown, width, details=study.details))
     try:
         pictures = answer.pictures() if answer.pictures and study.figures else []
         page = answer.page() if answer.page and not study.no_report else None
@@ -231,9 +235,12 @@ def _show(answer: Answer, study: Study) -> None:
     if study.json:
         click.echo(answer.json(page).removesuffix("\n"))
     elif not study.silent:
-        lines = [f"\n{written([*answer.files, *pictures])}"] if answer.files else []
-        if lines := [*lines, *([report_line(page)] if page else [])]:
-            print_answer("\n".join(lines))
+        following = answer.next if isinstance(answer.next, str) else answer.next.spell(commands)
+        lines = wrap_command(f"next: {following}", width) if following else []
+        if files := [*answer.files, *pictures, *([page] if page else [])]:
+            lines += wrap(f"files: {', '.join(map(str, files))}", width, "  ")
+        if lines:
+            print_answer("\n".join(["", *lines]))
     if answer.failure:
         exit_with_error(answer.failure, answer.code)
     if answer.code:

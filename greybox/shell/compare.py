@@ -20,6 +20,7 @@ from greybox.shell.study import (
     VALIDATING,
     Answer,
     Command,
+    NextCommand,
     Study,
     sharing,
 )
@@ -95,7 +96,19 @@ def compare(study: Study) -> Answer:
         )
     journal.unlink(missing_ok=True)
     by_title = {fit.model.title: fit for fit, _ in fits}
-    return _answer(result, folder, records, validation, by_title)
+    return _answer(result, folder, records, validation, by_title, _next(study, result, fits))
+
+
+def _next(study: Study, result: Comparison, fits: Sequence[tuple[Fit, float]]) -> NextCommand:
+    """The best physical model is fitted for itself; where a black box is better, what it lacks is looked for."""
+    from greybox.show.documents.comparison import best_model
+
+    best = best_model(result)
+    chosen = next((fit.model for fit, _ in fits if best is not None and fit.model.title == best.name), None)
+    if chosen is None:
+        return study.but(candidates=()).then("discover", study.model, *study.estimation)
+    effects = tuple(e.name for e in chosen.effects)
+    return study.but(effects=effects).then("fit", study.model, *study.estimation)
 
 
 def _grown(first: Fit, names: Sequence[str], plain: Model, show: ShowProgress) -> tuple[Fit, float] | None:
@@ -182,6 +195,7 @@ def _answer(
     records: Sequence[Experiment],
     validation: Sequence[Experiment],
     fits: Mapping[str, Fit],
+    following: NextCommand,
 ) -> Answer:
     from greybox.base import read_versions, write_json
     from greybox.data.experiment import collect_record_findings
@@ -200,6 +214,7 @@ def _answer(
         page=lambda: write_report(result, folder / "report.html", fits=fits, data=fingerprints, known=known),
         pictures=lambda: _draw_pictures(result, folder),
         kept=f"the comparison is in {saved}",
+        next=following,
     )
 
 

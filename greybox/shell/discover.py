@@ -9,7 +9,7 @@ from greybox.base import ExitCode
 from greybox.base.extensions import ExtensionKind, load_extension
 from greybox.shell import inputs
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import ESTIMATING, LAYOUT, SHARING, SHOWING, VALIDATING, Answer, Command, Study
+from greybox.shell.study import ESTIMATING, LAYOUT, SHARING, SHOWING, VALIDATING, Answer, Command, NextCommand, Study
 from greybox.shell.terminal import exit_with_error, write_report
 
 if TYPE_CHECKING:
@@ -90,7 +90,18 @@ def discover(study: Study) -> Answer:
         further = write_model(result.extended, folder / "model.py")
     else:
         further = result.best.save(folder / "fit.json")
-    return _answer(result, [saved, further])
+    return _answer(result, [saved, further], _next(study, result, further))
+
+
+def _next(study: Study, result: Discovery, further: Path) -> NextCommand:
+    """The extended model goes on to a fit of its own; where nothing was found, the next record is designed."""
+    if not result.effects:
+        return study.then("design", further.parent / "discovery.json", *study.estimation, alone=True)
+    if further.suffix != ".py":
+        return study.then("changed", further, *study.validation, alone=True)
+    # The model file holds values, bounds and what is fixed.
+    plain = study.but(fixed={}, start={}, free=(), ties={}, priors={})
+    return plain.then("fit", further, *study.estimation)
 
 
 def _left_out(study: Study) -> tuple[str, ...]:
@@ -102,7 +113,7 @@ def _left_out(study: Study) -> tuple[str, ...]:
     return (*study.without, *relatives)
 
 
-def _answer(result: Discovery, files: list[Path]) -> Answer:
+def _answer(result: Discovery, files: list[Path], following: NextCommand) -> Answer:
     saved = files[0]
     return Answer(
         result,
@@ -111,6 +122,7 @@ def _answer(result: Discovery, files: list[Path]) -> Answer:
         page=lambda: write_report(result, saved.parent / "report.html"),
         pictures=lambda: _draw_pictures(result, saved.parent),
         kept=f"the answer is in {saved}",
+        next=following,
     )
 
 

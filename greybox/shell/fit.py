@@ -22,6 +22,7 @@ from greybox.shell.study import (
     VALIDATING,
     Answer,
     Command,
+    NextCommand,
     Study,
     sharing,
 )
@@ -116,6 +117,7 @@ def fit(study: Study) -> Answer:
         return Answer(**shown, failure=failure, code=ExitCode.INTERRUPTED)
     return Answer(
         **shown,
+        next=next_command(study, result, saved),
         files=[saved],
         page=lambda: _write_page(answer, saved.parent / "report.html", study.uncounted),
         pictures=lambda: _draw_pictures(result, tests, saved.parent, study.uncounted),
@@ -123,6 +125,23 @@ def fit(study: Study) -> Answer:
         failure="" if result.success else f"no success: {result.solver.status_message}",
         code=ExitCode.SUCCESS if result.success else ExitCode.UNSUCCESSFUL,
     )
+
+
+def next_command(study: Study, result: Fit, saved: Path) -> NextCommand:
+    """What a colleague would type after a fit: what is missing, or where the model goes."""
+    from greybox.shell.project import is_model_path
+    from greybox.show.documents.fit import explains_records
+
+    records = (study.model, *study.estimation)
+    if not result.success:
+        return study.then("check", *records)
+    if not explains_records(result):
+        return study.then("discover", *records)
+    if not result.model.has_equations:
+        return study.then("compare", *records)
+    # A model that no name finds is named beside its fit.
+    known = ["--model", study.model] if is_model_path(study.model) else []
+    return study.then("export", saved, "--to", "control", *known, alone=True)
 
 
 def _write_page(answer: FitAnswer, target: Path, skip: int) -> Path:
@@ -173,10 +192,9 @@ def _misfits(result: Fit, traces: Sequence[Trace], skip: int) -> list[RecordMisf
     if len(traces) < 2:
         return []
     return [
-        RecordMisfit(t.name, output, misfit, None if bound is None else bound.least_ratio(misfit.rmse))
+        RecordMisfit(t.name, output, misfit)
         for t in traces
         for output, misfit in compute_record_misfits(result, t, skip).items()
-        for bound in (result.noise.bound(output),)
     ]
 
 

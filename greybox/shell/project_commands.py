@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from greybox.base import ExitCode, Finding, GreyboxError
+from greybox.base.texts import to_word
 from greybox.shell.inputs import add_effects, check_writable
 from greybox.shell.progress import show_search_progress
 from greybox.shell.study import SHOWING, Answer, Command, Excludes, Idle, Needs, Study
@@ -26,14 +27,18 @@ def _as_json(data: object) -> str:
 
 def init(study: Study) -> Answer:
     """Create a project in DIR with example files: models/, fits/ and a notebook, or one plant to start from."""
+    from greybox.base.document import Document
     from greybox.shell.template import write_project
+    from greybox.show.sentences.wording import count_noun
 
     folder = check_writable(study.directory or Path(), "DIR")
     files = write_project(folder, plant=study.plant, force=study.force)
     command = "python twin.py && greybox fit study.toml" if study.plant else "greybox models"
-    data = {"folder": str(folder), "files": list(map(str, files)), "next": f"cd {folder} && {command}"}
-    text = f"{len(files)} files written to {folder}; next: cd {folder} && {command}"
-    return Answer(text, lambda _: _as_json(data))
+    following = f"cd {to_word(str(folder))} && {command}"
+    data = {"folder": str(folder), "files": list(map(str, files)), "next": following}
+    what = f"the plant {study.plant} and its simulated rig" if study.plant else "models, studies and a notebook"
+    text = f"A project was written to {folder}: {count_noun(len(files), 'file')} with {what}."
+    return Answer(Document("init", text), lambda _: _as_json(data), next=following)
 
 
 INIT = Command(
@@ -54,7 +59,6 @@ def demo(study: Study) -> Answer:
     design. An integrator that the fits do not use simulates the actuator. Takes half a minute; see DIR/report.html.
     """
     from greybox.shell.demonstration import run_demo
-    from greybox.show.sentences.shell import demo_answer
 
     folder = check_writable(study.output or Path("results/demo"))
     with show_search_progress() as (say, report):
@@ -69,9 +73,11 @@ def demo(study: Study) -> Answer:
         return page
 
     return Answer(
-        f"{demo_answer(result, folder)}\n",
+        result,
         lambda _: (folder / "discovery.json").read_text(encoding="utf-8"),
+        [*result.records, *result.files],
         page=write_page,
+        next=f"greybox export {to_word(str(folder / 'fit.json'))} --to control",
         kept=f"the results are in {folder}",
         code=ExitCode.SUCCESS if result.fit.success else ExitCode.UNSUCCESSFUL,
     )
@@ -99,11 +105,12 @@ def models(study: Study) -> Answer:
     if study.some_model:
         one = add_effects(find_model(study.some_model), study.added)
         print_findings(Finding(CommandCode.UNUSED_PARAMETER, subject=name) for name in unused_parameters(one.system))
-        return Answer(one, lambda _: _as_json(_outline(one)))
+        return Answer(one, lambda _: _as_json(_outline(one)), next=f"greybox check {to_word(study.some_model)}")
     listing = list_models()
     for problem in listing.problems:
         print_note(f"warning: {problem}")
-    return Answer(listing, lambda _: _as_json(_list(listing)))
+    first = listing.models[0].name if listing.models else "MODEL"
+    return Answer(listing, lambda _: _as_json(_list(listing)), next=f"greybox models {first}")
 
 
 def _list(listing: ModelListing) -> dict[str, Any]:
@@ -169,26 +176,30 @@ def effects(study: Study) -> Answer:
 
     Prints name, site, parameters with units, and equation of each, and why an effect has no place.
     """
+    from greybox.base.document import Document
     from greybox.model.effects import EffectListing, all_effects, find_placements
     from greybox.shell.own_effects import find_own_effects, keep_effect
     from greybox.shell.project import find_model
 
     model = study.some_model
     if _keeps(study):
-        from greybox.show.sentences.shell import written
-
         if not study.own_name:
             raise GreyboxError(
                 "effects keep: NAME is missing; write greybox effects keep NAME, as in greybox effects keep soft_stop"
             )
-        return Answer(written([keep_effect(study.own_name, study.kept_result)]), str)
+        kept = keep_effect(study.own_name, study.kept_result)
+        answer = f"The law {study.own_name} is an effect of this project now: discover tries it."
+        return Answer(Document("effects", answer), str, [kept])
     entries = (*all_effects(), *find_own_effects())
     alone = tuple(entry for entry in entries if entry.name == model)
     listing = EffectListing("", alone or entries)
     if model and not alone:
         plant = add_effects(find_model(model), study.added)
         listing = EffectListing(plant.title, entries, tuple(find_placements(plant, entries)))
-    return Answer(listing, lambda _: _as_json(_to_data(listing)))
+    following = (
+        "greybox effects MODEL" if not model else "" if alone else f"greybox discover {to_word(model)} RECORD.csv"
+    )
+    return Answer(listing, lambda _: _as_json(_to_data(listing)), next=following)
 
 
 def _keeps(study: Study) -> bool:
@@ -203,7 +214,7 @@ EFFECTS = Command(
             help="The model in which they look for a place: its name or its file; or the name of one effect. Without MODEL, the"
             " catalogue is listed. The word keep: the law of a discovery becomes an effect of the project."
         ),
-        *(Study.own_name, Study.added, Study.kept_result, Study.json),
+        *(Study.own_name, Study.added, Study.kept_result, Study.json, Study.details),
     ),
     (
         "greybox effects",

@@ -69,8 +69,10 @@ def simulate(study: Study) -> Answer:
     units = {q.name: format_unit(q.unit) for q in plant.outputs}
     added = ", ".join(f"{name} {std:g} {units[name]}".rstrip() for name, std in noise_std.items())
     return Answer(
-        SimulationAnswer(run, target),
+        SimulationAnswer(run, plant, added),
         lambda report: _as_json(run, target, report),
+        [target],
+        next=study.then("fit", study.model, target, alone=True) if plant.free_parameters else "",
         page=(lambda: write_report(run, target.with_suffix(".html"), model=plant, noise=added))
         if study.output
         else None,

@@ -16,6 +16,7 @@ from types import MappingProxyType
 from typing import Any, Generic, Self, TypeVar, overload
 
 from greybox.base import ExitCode, GreyboxError
+from greybox.base.texts import to_word
 from greybox.shell import completion
 from greybox.shell import study_values as kinds
 
@@ -258,6 +259,7 @@ class Study:
         "Scheduler of a Dask cluster that does the work, such as tcp://10.0.0.5:8786; local starts one here, to try.")
     silent = Option(kinds.Switch(), "--quiet-output -q", "", "Print nothing but errors.")
     json = Option(kinds.Switch(), "--json", "", "Print the result as JSON instead of text.")
+    details = Option(kinds.Switch(), "--details", "", "Print all that is known of the result, and not its answer alone.")
     figures = Option(kinds.Switch(), "--figures", "", "Also write the figures of the report as PNG and SVG.")
     no_report = Option(kinds.Switch(), "--no-report", "", "Do not write report.html.")
     # Commands around the project.
@@ -325,6 +327,10 @@ class Study:
         """`label` with the value: ``--skip 3``; of an argument the value."""
         label = self.label(option) if option.flags else ""
         return f"{label} {option.kind.spell(self.values[option.name])}".strip()
+
+    def then(self, command: str, *arguments: object, alone: bool = False) -> NextCommand:
+        """The command that follows, with ``arguments`` in place of its own and those of its options that this study sets; or ``alone``."""
+        return NextCommand(self, command, arguments, alone)
 
     @property
     def uncounted(self) -> int:
@@ -411,15 +417,39 @@ Relation = Needs | Excludes | Idle
 
 
 @dataclass(frozen=True)
+class NextCommand:
+    """A ``command`` that follows a study: its ``arguments``, and those of its options that the study sets, unless it stands ``alone``."""
+
+    study: Study
+    command: str
+    arguments: Sequence[object]
+    alone: bool = False
+
+    def spell(self, commands: Mapping[str, Command]) -> str:
+        """As it is typed."""
+        words = ["greybox", self.command, *map(str, self.arguments)]
+        for option in () if self.alone else commands[self.command].options:
+            if option.flags and option.place and self.study.sets(option):
+                values = option.kind.typed(self.study.values[option.name])
+                if isinstance(option.kind, kinds.Switch):
+                    words.append(option.flags[0])
+                else:
+                    words += [word for text in values for word in (option.flags[0], text)]
+        return " ".join(map(to_word, words))
+
+
+@dataclass(frozen=True)
 class Answer:
     """What a command has found, and what is to be done with it: `greybox.shell.command_line` shows it.
 
     Attributes
     ----------
     text
-        What ``print`` shows of it.
+        What ``print`` shows of it: the answer first.
     json
         The same for programs, given the report that was written, if any.
+    next
+        The command that a colleague would type now.
     files
         What was written.
     page, pictures
@@ -434,6 +464,7 @@ class Answer:
     json: Callable[[Path | None], str]
     files: Sequence[Path] = ()
     page: Callable[[], Path] | None = None
+    next: NextCommand | str = ""
     pictures: Callable[[], list[Path]] | None = None
     kept: str = ""
     failure: str = ""
@@ -536,7 +567,7 @@ FITTING = (
     *(Study.common_noise, Study.quiet, Study.validation, Study.skip, Study.beginning, Study.loss),
     *(Study.transcription, Study.arc_length, Study.starts, Study.seed, Study.predict),
 )
-SHOWING = (Study.json, Study.no_report)
+SHOWING = (Study.json, Study.details, Study.no_report)
 SHARING = (Study.workers, Study.cluster)
 
 LAYOUT = Excludes(Study.headers, Study.columns, "names for all columns, or headers for some")

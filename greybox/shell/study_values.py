@@ -67,6 +67,10 @@ class Kind(Generic[T]):
         """What a message names beside the option: the value where it is one word, the first of several names, else nothing."""
         return "" if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
 
+    def typed(self, value: T) -> list[str]:
+        """What stands behind the option when it is typed, once for each time; numbers with all digits."""
+        return [str(item) for item in value] if isinstance(value, tuple) else [str(value)]
+
 
 @dataclass(frozen=True)
 class Switch(Kind[bool]):
@@ -234,6 +238,9 @@ class CommaNames(Names):
     def from_option(self, option: str, raw: str) -> tuple[str, ...]:  # type: ignore[override]
         return tuple(name.strip() for name in raw.split(",") if name.strip())
 
+    def typed(self, value: tuple[str, ...]) -> list[str]:
+        return [",".join(value)]
+
 
 @dataclass(frozen=True)
 class Headers(Names):
@@ -246,6 +253,9 @@ class Headers(Names):
         if not all(headers):
             raise GreyboxError(f"{option} {raw}: a name is empty; write '-' for a column that is not wanted")
         return headers
+
+    def typed(self, value: tuple[str, ...]) -> list[str]:
+        return [",".join(value)]
 
     def from_toml(self, place: str, data: Any) -> tuple[str, ...]:
         if isinstance(data, dict):
@@ -339,6 +349,9 @@ class FrequencyBand(Kind[tuple[float, float] | None]):
     def spell(self, value: tuple[float, float] | None) -> str:
         return ""
 
+    def typed(self, value: tuple[float, float] | None) -> list[str]:
+        return [] if value is None else ["{}:{}".format(*value)]
+
 
 @dataclass(frozen=True)
 class Table(Kind[Mapping[str, Any]]):
@@ -359,6 +372,13 @@ class Table(Kind[Mapping[str, Any]]):
 
     def spell(self, value: Mapping[str, Any]) -> str:
         return next(iter(value))
+
+    def typed(self, value: Mapping[str, Any]) -> list[str]:
+        return [name if one is None else f"{name}={self.typed_value(one)}" for name, one in value.items()]
+
+    def typed_value(self, value: Any) -> str:
+        """One value as it is typed."""
+        return str(value)
 
     def from_option(self, option: str, raw: Sequence[str]) -> dict[str, Any]:
         alone = [text.strip() for text in raw if "=" not in text] if self.bare is not None else []
@@ -443,6 +463,9 @@ class Priors(Table):
         inside = entries(place, data, ("mean", "std"), (), f"{name} = {{ mean = 0.0100, std = 0.0001 }}")
         return number_in_file(f"{place}, mean", inside["mean"]), number_in_file(f"{place}, std", inside["std"])
 
+    def typed_value(self, value: tuple[float, float]) -> str:
+        return "{}+-{}".format(*value)
+
     def entry_to_toml(self, value: tuple[float, float]) -> dict[str, float]:
         return {"mean": value[0], "std": value[1]}
 
@@ -464,6 +487,9 @@ class Schedules(Table):
         at = number_in_file(f"{place}, at", inside["at"]) if "at" in inside else None
         return text_in_file(f"{place}, by", inside["by"]), at
 
+    def typed_value(self, value: tuple[str, float | None]) -> str:
+        return value[0] if value[1] is None else "{}@{}".format(*value)
+
     def entry_to_toml(self, value: tuple[str, float | None]) -> dict[str, Any]:
         return {"by": value[0]} | ({} if value[1] is None else {"at": value[1]})
 
@@ -482,6 +508,9 @@ class Conditions(Table):
 
     def entry(self, place: str, name: str, data: Any) -> tuple[float, ...]:
         return tuple(number_in_file(place, item, self.bare) for item in (data if isinstance(data, list) else [data]))
+
+    def typed_value(self, value: tuple[float, ...]) -> str:
+        return ",".join(map(str, value))
 
     def entry_to_toml(self, value: tuple[float, ...]) -> list[float]:
         return list(value)
@@ -507,6 +536,9 @@ class Limits(Table):
         return _ends(
             *(number_in_file(f"{place}, {end}", inside[end]) if end in inside else None for end in ("low", "high"))
         )
+
+    def typed_value(self, value: tuple[float, float]) -> str:
+        return ":".join(str(end) if math.isfinite(end) else "" for end in value)
 
     def entry_to_toml(self, value: tuple[float, float]) -> dict[str, float]:
         return {end: limit for end, limit in zip(("low", "high"), value, strict=True) if math.isfinite(limit)}

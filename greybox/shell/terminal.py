@@ -7,8 +7,10 @@ import functools
 import math
 import re
 import shlex
+import shutil
 import signal
 import sys
+import textwrap
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Sequence
@@ -111,9 +113,23 @@ def exit_with_error(message: str, code: ExitCode) -> NoReturn:
     raise click.exceptions.Exit(code)
 
 
+# Columns of a line where the output goes to a file or another program.
+LINE_WIDTH = 80
+
+
+def terminal_width() -> int:
+    """Columns of the terminal that the answer goes to."""
+    return shutil.get_terminal_size((LINE_WIDTH, 24)).columns if sys.stdout.isatty() else LINE_WIDTH
+
+
 def print_note(message: str) -> None:
-    """A line on stderr, so that stdout stays what was asked for."""
-    click.echo(to_message(message), err=True)
+    """A line on stderr, so that stdout stays what was asked for; on a terminal no word of it is broken."""
+    text = to_message(message)
+    if sys.stderr.isatty():
+        width = shutil.get_terminal_size((LINE_WIDTH, 24)).columns
+        lines = textwrap.TextWrapper(width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+        text = "\n".join(map(lines.fill, text.split("\n")))
+    click.echo(text, err=True)
 
 
 def print_answer(text: str) -> None:

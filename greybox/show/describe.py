@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from greybox.base import Check, Finding, GreyboxError
-from greybox.base.document import Block, Document, Paragraphs
-from greybox.show.printers.text import print_text
+from greybox.base.document import Document, Paragraphs
+from greybox.base.texts import to_lines
+from greybox.show.printers.text import LINE_WIDTH, print_text
 from greybox.show.sentences.registry import EXTENSIONS, find_writer, sentence
 
 Describer = Callable[..., Document]
@@ -23,6 +24,7 @@ DOCUMENTS = {
     "Comparison": "comparison.describe_comparison",
     "Demo": "demo.describe_demo",
     "Discovery": "discovery.describe_discovery",
+    "EffectListing": "effects.describe_effects",
     "Linearisation": "linearisation.describe_linearisation",
     "Simulation": "simulation.describe_simulation",
     "FitAnswer": "answers.describe_fit_answer",
@@ -51,13 +53,21 @@ def describe(value: Any, **options: Any) -> Document:
     if describer is not None:
         return describer(value, **options)
     written: Any = find_writer(value)(value)
-    brief: Sequence[Block] = [Paragraphs([written])] if isinstance(written, str) else written
-    return Document(type(value).__name__, brief)
+    return Document(type(value).__name__, details=[Paragraphs([written])] if isinstance(written, str) else written)
 
 
-def text(value: Any) -> str:
-    """A result in plain text: what ``print(value)`` shows."""
-    return sentence(value) if isinstance(value, (Finding, Check)) else print_text(describe(value))
+def text(value: Any, width: int = LINE_WIDTH, *, details: bool = False) -> str:
+    """A result in plain text: what ``print(value)`` shows; with ``details`` all that a terminal can show.
+
+    A value that is one text stays in its lines: it is part of others.
+    """
+    if isinstance(value, (Finding, Check)):
+        return sentence(value)
+    if isinstance(value, Document):
+        return print_text(value, width, details=details)
+    if _describer_of(value) is None and isinstance(written := find_writer(value)(value), str):
+        return to_lines(written)
+    return print_text(describe(value), width, details=details)
 
 
 def _describer_of(value: Any) -> Describer | None:

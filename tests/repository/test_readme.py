@@ -43,7 +43,7 @@ def test_the_eight_lines_give_constants_a_verdict_and_a_black_box(run: Run) -> N
     for name, truth in {"K": 5895.5, "Fc": 0.05}.items():
         e = fit.parameters[name]
         assert e.value == pytest.approx(truth, abs=4 * e.std) and math.isfinite(e.std)
-    for words in ("95 % interval", "whiteness", "output_error", "is\n  best"):
+    for words in ("95 % interval", "whiteness", "output_error", "is best"):
         assert words in run.printed
     (code,) = (b.text for b in blocks(README) if b.language == "python")
     assert len([line for line in code.splitlines() if not re.match(r"from|import|\s*$", line)]) <= 8

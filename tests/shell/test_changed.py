@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +52,7 @@ def run(*arguments: str):
 def test_today_in_text_as_json_and_as_a_page(folder: Path) -> None:
     done = run(str(folder / "fit.json"), str(folder / "days/day 10.csv"), "--output", "out")
     assert done.exit_code == 0, done.output
-    assert "silverbox: changed" in done.stdout
+    assert re.match(r"d has risen by \S+ %, from ", done.stdout)
     assert sorted(p.name for p in Path("out").iterdir()) == ["changed.json", "index.html"]
     data = json.loads(Path("out/changed.json").read_text())
     assert strict_offences(data, "change") == [] and data["verdict"] == "changed" and data["constants"]["d"]["moved"]

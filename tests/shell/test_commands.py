@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -61,13 +62,23 @@ def test_a_fit_prints_saves_and_draws(run: Run, data: Path, tmp_path: Path) -> N
     )
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
-    for text in ("M dv/dt = Kf i", "converged", "Kf ", "[", "V*s/m", "fixed", "best fit", "validation", "written: "):
+    lines = result.stdout.splitlines()
+    assert lines[0].startswith("micro_actuator explains its records: the error in ")
+    assert len(lines) <= 25 and max(map(len, lines)) <= 80
+    for text in (
+        "Kf ",
+        "[",
+        "V*s/m",
+        "1 validation record",
+        "next: greybox export results/micro_actuator-fit/fit.json",
+    ):
         assert text in result.stdout
+    assert "M dv/dt = Kf i" not in result.stdout
     folder = tmp_path / "results" / "micro_actuator-fit"
     figures = ["fit-train", "residual-i", "residual-x", "validation-test"]
     assert everything(folder) == sorted(["fit.json", "report.html", *drawn(*figures)])
-    assert result.stdout.splitlines()[-1].startswith(f"report: {Path('results', 'micro_actuator-fit', 'report.html')}")
-    assert "residual tests" in result.stdout
+    files = {Path(file).name for file in result.stdout.partition("files: ")[2].replace(",", "").split()}
+    assert files == {name for name in everything(folder) if not name.endswith(".svg")}
     saved = json.loads((folder / "fit.json").read_text())
     assert saved["model"] == "micro_actuator"
     assert saved["status"] == "converged"
@@ -132,17 +143,28 @@ def test_several_validation_records_are_judged_one_by_one(run: Run, data: Path, 
     off = read_csv(data / "test.csv", micro_actuator)
     write_csv(off.with_outputs({**off.outputs, "x": off.outputs["x"] + 2e-6}), micro_actuator, tmp_path / "off.csv")
     judges = ["--validate", data / "test.csv", "--validate", "off.csv", "--skip", 50]
-    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, *PRECISE, *judges, "--at-rest", "--output", "out")
+    result = run(
+        "fit",
+        "micro_actuator",
+        data / "train.csv",
+        *KNOWN,
+        *PRECISE,
+        *judges,
+        "--at-rest",
+        "--output",
+        "out",
+        "--details",
+    )
     assert result.exit_code == 0, result.output
-    table = result.stdout.partition("validation record ")[2].partition("written")[0]
-    ratios = {tuple(line.split()[:2]): float(line.split()[6]) for line in table.splitlines()[1:] if line.strip()}
+    table = result.stdout.partition("validation record  ")[2].partition("next:")[0]
+    ratios = {tuple(line.split()[:2]): float(line.split()[8]) for line in table.splitlines()[1:] if line.strip()}
     assert set(ratios) == {(name, output) for name in ("test", "off") for output in ("x", "i")}
     assert ratios["test", "x"] == pytest.approx(1, abs=0.15)
     assert ratios["off", "x"] == pytest.approx(np.hypot(10, 1), rel=0.05)
     model = micro_actuator.fix(M=0.01, Ra=8)
     saved = load_fit(tmp_path / "out" / "fit.json", model)
     pooled = np.sqrt(np.mean([ratios["test", "x"] ** 2, ratios["off", "x"] ** 2]))
-    assert saved.validation.misfit["x"].noise_ratio == pytest.approx(pooled, rel=1e-3)
+    assert saved.validation.misfit["x"].noise_ratio == pytest.approx(pooled, rel=5e-3)  # three digits are printed
 
 
 def test_an_output_that_only_a_validation_record_has_is_drawn(run: Run, data: Path, tmp_path: Path) -> None:
@@ -318,9 +340,8 @@ def test_ctrl_c_saves_the_best_point(run: Run, data: Path, tmp_path: Path, monke
 def test_models_are_listed_and_printed(run: Run) -> None:
     listed = run("models")
     assert listed.exit_code == 0
-    assert "micro_actuator: " in listed.stdout
-    assert "states x, v, i; inputs u; outputs x, i" in listed.stdout
-    assert "shipped" in listed.stdout
+    assert listed.stdout.splitlines()[0].endswith("models can be named here.")
+    assert re.search("micro_actuator +u -> x, i +compliant four-bar", listed.stdout)
     one = run("models", "micro_actuator", "--effect", "coulomb_friction")
     assert one.exit_code == 0
     assert "coulomb_friction" in one.stdout
@@ -329,8 +350,9 @@ def test_models_are_listed_and_printed(run: Run) -> None:
 
 
 def test_effects_are_listed_with_their_places(run: Run) -> None:
-    catalogue = run("effects")
-    assert "coulomb_friction" in catalogue.stdout and "Fc [{force}]" in catalogue.stdout
+    catalogue, whole = run("effects"), run("effects", "--details")
+    assert "coulomb_friction" in catalogue.stdout and "Fc [{force}]" not in catalogue.stdout
+    assert "Fc [{force}]" in whole.stdout
     of_model = json.loads(run("effects", "micro_actuator", "--effect", "input_offset", "--json").stdout)
     by_name = {p["name"]: p for p in of_model}
     assert by_name["coulomb_friction"]["site"] == "force" and by_name["coulomb_friction"]["parameters"] == {"Fc": "N"}
@@ -461,12 +483,16 @@ def test_a_constant_in_no_equation_is_noted(run: Run, tmp_path: Path) -> None:
 
 
 def test_check_names_what_the_record_leaves_open(run: Run, data: Path) -> None:
-    result = run("check", "micro_actuator", data / "train.csv")
+    result, whole = (run("check", "micro_actuator", data / "train.csv", *more) for more in ((), ("--details",)))
     assert result.exit_code == 0, result.output
+    first = " ".join(result.stdout.splitlines()[:2])
+    assert (
+        first.startswith("These records determine 3 of the 7 free parameters of micro_actuator") and "M, B, K" in first
+    )
     for text in ("exact hold", "linear", "1500 rows every 0.00025 s", "noise", "not determined: M, B, K, Kf"):
-        assert text in result.stdout
+        assert text in whole.stdout
     closed = run("check", "micro_actuator", data / "train.csv", "--fix", "M")
-    assert "every free parameter is determined" in closed.stdout
+    assert closed.stdout.startswith("These records determine every free parameter of micro_actuator")
 
 
 def test_init_and_a_fit_inside(run: Run, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -476,7 +502,7 @@ def test_init_and_a_fit_inside(run: Run, data: Path, tmp_path: Path, monkeypatch
     assert "already holds" in again.stderr
     assert run("init", "mine", "--force").exit_code == 0
     monkeypatch.chdir(tmp_path / "mine")
-    assert "shipped" not in run("models").stdout
+    assert not any("shipped" in m["where"] for m in json.loads(run("models", "--json").stdout)["models"])
     result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, "-q")
     assert result.exit_code == 0, result.output
     assert (tmp_path / "mine" / "results" / "micro_actuator-fit" / "fit.json").is_file()
@@ -574,9 +600,9 @@ def test_a_plant_in_a_model_file_is_fitted_and_checked(run: Run, tmp_path: Path)
     assert result.exit_code == 0, result.stderr
     rate = json.loads(result.stdout)["parameters"]["rate"]
     assert rate["value"] == pytest.approx(2.0, abs=4 * rate["std"])
-    checked = run("check", *given)
+    checked = run("check", *given, "--details")
     assert checked.exit_code == 0 and "no equations: it is run from outside" in checked.stdout, checked.output
-    assert "every free parameter is determined" in checked.stdout
+    assert "These records determine every free parameter" in checked.stdout
 
 
 def test_one_effect_is_shown_by_its_name(run: Run) -> None:

@@ -49,7 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_records_at_two_supply_pressures_are_fitted_with_the_conditions_that_they_state(run: Run, folder, tmp_path):
     files = [folder / f"{name}.csv" for name in ("column", "comment")]
-    result = run("fit", "pneumatic_cylinder", *files, *NOISE, "--condition", "P_S", "--no-report")
+    result = run("fit", "pneumatic_cylinder", *files, *NOISE, "--condition", "P_S", "--no-report", "--details")
     assert result.exit_code == 0, result.output
     saved = json.loads((tmp_path / "results" / "pneumatic_cylinder-fit" / "fit.json").read_text())
     assert [t["conditions"]["P_S"] for t in saved["traces"]] == pytest.approx(SUPPLIES, rel=1e-9)

@@ -96,7 +96,7 @@ def test_what_is_known_beforehand_counts_and_is_stored(
     if records != "pushed":  # drawing takes longer than all the rest: once will do
         monkeypatch.setattr(fit_module, "_draw_pictures", lambda *_: [])
         options += " --no-report"
-    result = run(records, *options.split())
+    result = run(records, *options.split(), "--details")
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
     for text in (*shown, "residual tests", "free run and prediction"):

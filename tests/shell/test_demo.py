@@ -12,6 +12,7 @@ import pytest
 from greybox import read_csv, report
 from greybox.estimation.findings import EstimationCode
 from greybox.shell.demonstration import EXTENDED, HIDDEN, KNOWN, NOISE, PLAIN, STRENGTH, Demo, run_demo
+from greybox.show.describe import text
 from models.micro_actuator import micro_actuator
 from tests.support.findings import codes
 
@@ -88,9 +89,10 @@ def test_the_records_are_there_to_repeat_it(result: Demo) -> None:
 def test_the_story_is_told_in_order(result: Demo, announced: list[str]) -> None:
     steps = [line.split(":")[0] for line in announced if line[:1].isdigit()]
     assert [step[0] for step in steps] == ["1", "2", "3", "4"]
-    text = str(result)
-    order = ["parameter", HIDDEN, "rms error on the validation record", "black box", "linear model"]
-    places = [text.index(words) for words in order]
+    short, whole = text(result), text(result, details=True)
+    assert len(short.splitlines()) <= 22 and short.startswith(f"The plain model lacks {HIDDEN}")
+    order = [HIDDEN, "parameter", "black box", "rms error on the validation record", "A ="]
+    places = [whole.index(words) for words in order]
     assert places == sorted(places)
 
 
@@ -99,7 +101,11 @@ def test_the_command_leaves_out_the_page_if_told(run, result: Demo, monkeypatch:
     assert contradiction.exit_code == 2 and "--open and --no-report exclude each other" in contradiction.stderr
     monkeypatch.setattr("greybox.shell.demonstration.run_demo", lambda *_, **__: result)
     printed = run("demo", "--no-report", "--output", "there")
-    assert printed.exit_code == 0 and "report:" not in printed.stdout
+    assert printed.exit_code == 0 and "report.html" not in printed.stdout
+    assert (
+        printed.stdout.splitlines()[0].startswith("The plain model lacks")
+        and len(printed.stdout.partition("files:")[0].splitlines()) <= 22
+    )
     assert not Path("there", "report.html").exists()
 
 

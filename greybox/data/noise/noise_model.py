@@ -354,10 +354,6 @@ class NoiseBound:
         """The level beyond which a residual is more than noise; None where nobody knows it."""
         return None if self.direction is BoundDirection.AT_LEAST else self.level
 
-    def least_ratio(self, rmse: float) -> float | None:
-        """How many times the noise an error is at least, where the noise has no more than a ceiling; None where it is known otherwise."""
-        return rmse / self.level if self.direction is BoundDirection.AT_MOST and self.level > 0 else None
-
 
 @dataclass(frozen=True)
 class NoiseModel(Printable):

@@ -18,6 +18,7 @@ from greybox.data.experiment import Experiment, find_usual_interval
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
+from greybox.estimation.errors import compute_record_misfits
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Validation
@@ -212,8 +213,16 @@ class Session:
         return self.records[index]
 
     def simulate(self, index: int) -> Validation:
-        """The model's free run over one of the records, as `greybox.validate` makes it, and its misfit."""
-        return self._run(self.record(index).experiment)
+        """The free run over one of the records and its misfit: of the last fit where it is that, else as `greybox.validate` makes it."""
+        record, fit = self.record(index).experiment, self.fit
+        if fit is None:
+            return self._run(record)
+        if self.is_fitted:
+            counted = max(self.skip, self.beginning)
+            for trace, skip in [(t, 0) for t in fit.traces] + [(t, counted) for t in fit.validation.traces]:
+                if trace.fingerprint == record.fingerprint:
+                    return Validation(compute_record_misfits(fit, trace, skip), (trace,))
+        return self._run(record).over(fit.noise)
 
     def localise(self, index: int) -> ResidualLocalisation:
         """Where, when and as a function of what the model falls short on one of the records, at its present constants."""

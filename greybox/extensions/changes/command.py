@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING
 
 from greybox.shell import inputs
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import LAYOUT, SHARING, SHOWING, VALIDATING, Answer, Command, Excludes, Idle, Option, Study
+from greybox.shell.study import (
+    LAYOUT,
+    SHARING,
+    SHOWING,
+    VALIDATING,
+    Answer,
+    Command,
+    Excludes,
+    Idle,
+    NextCommand,
+    Option,
+    Study,
+)
 from greybox.shell.study_values import Switch
 from greybox.shell.terminal import write_report
 
@@ -58,7 +70,23 @@ def changed(study: ChangeStudy) -> Answer:
         [saved],
         lambda: write_report(result, folder / "index.html"),
         kept=f"the verdict is in {saved}",
+        next=_next(known, result, study),
     )
+
+
+def _next(known: Fit, result: ChangeDetection, study: ChangeStudy) -> NextCommand | str:
+    """What has changed is fitted anew; records that do not tell are followed by a better one."""
+    from greybox.extensions.changes.result import ChangeVerdict
+    from greybox.shell.project import is_model_path
+
+    model = ["--model", study.model] if is_model_path(study.model) else []
+    if result.verdict is ChangeVerdict.CANNOT_TELL:
+        return study.then("design", study.source, *model, alone=True)
+    if result.verdict is not ChangeVerdict.CHANGED or study.population or study.chart:
+        return ""
+    fixed = [f"--fix={name}={e.value:.6g}" for name, e in known.parameters.items() if e.fixed]
+    effects = [f"--effect={e.name}" for e in known.model.effects]
+    return study.then("fit", study.model or known.model.name, *study.estimation, *effects, *fixed, alone=True)
 
 
 def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:

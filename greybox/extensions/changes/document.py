@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from greybox.base import document as doc
-from greybox.base.findings import Severity
 from greybox.extensions.changes.figures import plot_changes, plot_course, plot_population
 from greybox.extensions.changes.result import ChangeDetection, ChangeVerdict, ConstantChange, MachineConstant
 from greybox.extensions.changes.sentences import is_determined, merge_not_seen, p_text, share_of
-from greybox.show.documents.tables import provenance_section, records_section, signal_units
+from greybox.show.documents.tables import provenance_section, records_section, signal_units, worst_first
 from greybox.show.figures.records import plot_residual, plot_run
 from greybox.show.sentences.registry import sentence
 from greybox.show.sentences.wording import (
+    as_sentence,
     count_noun,
     format_with_std,
     make_formatter,
@@ -30,32 +30,31 @@ TONES = {
 
 def describe_changed(change: ChangeDetection, *, command: str = "") -> doc.Document:
     """What is said of a change detection; ``command`` is what was typed."""
-    findings = merge_not_seen(change.findings)
-    title = f"{change.reference.model.title}: {change.verdict}"
-    first = [f for f in findings if f.severity is not Severity.NOTE]
+    answer, *more = map(sentence, change.conclusion)
+    tables = list(change_tables(change))
     return doc.Document(
-        title,
-        [
-            doc.Paragraphs([title]),
-            doc.Paragraphs([f"  {sentence(f)}" for f in change.conclusion]),
-            *change_tables(change),
-            doc.Facts([(str(f.severity), f) for f in findings]),
-        ],
+        f"{change.reference.model.title}: {change.verdict}",
+        as_sentence(answer),
+        TONES[change.verdict],
+        tables[:1],
+        [*more, *worst_first(merge_not_seen(change.findings))],
+        tables[1:],
         _ask(change),
-        doc.Paragraphs([*change.conclusion, *first], TONES[change.verdict]),
+        doc.Later(_evidence, change),
         doc.Later(_sections, change, command),
         "changed",
     )
 
 
-def _sections(change: ChangeDetection, command: str) -> Iterator[doc.Section]:
-    """The figures that convince, then their numbers."""
+def _evidence(change: ChangeDetection) -> Iterator[doc.FigureBlock]:
     figures = (plot_changes(change), plot_population(change), plot_course(change))
-    blocks: list[doc.Block] = [doc.FigureBlock(figure) for figure in figures if figure is not None]
-    notes = [f for f in merge_not_seen(change.findings) if f.severity is Severity.NOTE]
-    yield doc.Section(
-        "changes", "What changed", [*blocks, *change_tables(change), *([doc.BulletList(notes)] if notes else [])]
-    )
+    yield from (doc.FigureBlock(figure) for figure in figures if figure is not None)
+
+
+def _sections(change: ChangeDetection, command: str) -> Iterator[doc.Section]:
+    """The numbers behind the figures, the checks, today's records."""
+    if tables := list(change_tables(change)):
+        yield doc.Section("changes", "What changed", tables)
     if change.checks:
         yield doc.Section("checks", "Checks", [doc.BulletList([str(check) for check in change.checks])])
     if change.today is not None:

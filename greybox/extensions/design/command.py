@@ -16,6 +16,7 @@ from greybox.shell.terminal import exit_with_error, print_findings, print_note, 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
     from greybox.estimation import Fit, FitOptions
+    from greybox.extensions.design.problem import Design
     from greybox.model import Model
 
 
@@ -84,7 +85,25 @@ def design(study: DesignStudy) -> Answer:
         [folder / "input.csv", written],
         lambda: write_report(result, folder / "report.html"),
         kept=f"the design is in {written}",
+        next=study.then(
+            "simulate",
+            *(_model_of(study, result), folder / "input.csv", *_set(result), "--output", "planned.csv"),
+            alone=True,
+        ),
     )
+
+
+def _model_of(study: Study, result: Design) -> str:
+    """The name or file of the model of a design."""
+    source = study.source
+    return study.model or (result.model.name if source.endswith(".json") else source)
+
+
+def _set(result: Design) -> list[str]:
+    """The effects and parameters of a design's model, as options of a simulation."""
+    model = result.model
+    effects = [word for e in model.effects for word in ("--effect", e.name)]
+    return [*effects, *(word for q in model.free_parameters for word in ("--set", f"{q.name}={q.value:.6g}"))]
 
 
 def read_source(study: DesignStudy) -> tuple[Model | Fit, Fit | None, list[str]]:
@@ -269,6 +288,9 @@ def campaign(study: DesignStudy) -> Answer:
         lambda _: format_json(to_json_data(result)),
         page=lambda: write_report(result, folder / "report.html"),
         kept=f"the campaign is in {folder}",
+        next=study.then("campaign", study.model, "--output", folder)
+        if result.status is CampaignStatus.MEASURING
+        else "",
         code=ExitCode.UNSUCCESSFUL if is_open else ExitCode.SUCCESS,
     )
 

@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from math import inf, isinf
 
 from greybox.base import Severity, read_json
-from greybox.base.document import Block, Document, Facts, FileLink, Later, Paragraphs, Section, TableBlock, Tone
+from greybox.base.document import Document, FileLink, Later, Section, TableBlock, Tone
 from greybox.estimation.result import Fit
 from greybox.extensions.design.campaign import Campaign, CampaignStatus, CampaignStep
 from greybox.extensions.design.problem import Alternative, Design
 from greybox.extensions.design.sentences import name_explanation
 from greybox.model.effects.catalogue import effect
 from greybox.show.documents.simulation import run_figures
-from greybox.show.documents.tables import provenance_section, typeset_equations
+from greybox.show.documents.tables import provenance_section, typeset_equations, worst_first
 from greybox.show.sentences.wording import (
     change_text,
     count_noun,
@@ -38,23 +38,25 @@ GOALS = {
 def describe_design(design: Design, *, command: str = "") -> Document:
     """What is said of a design; ``command`` is what was typed."""
     title = design.model.title
+    record = design.experiment
+    step = record.sampling_time or 0.0
+    brings = next(_brings(design), "")
+    answer = (
+        f"Play the {name_input(design.kind)} of input.csv for {step * record.rows:g} s, a row every {step:g} s{brings}."
+    )
+    doubtful = any(f.severity is not Severity.NOTE for f in design.findings)
+    first, *more = _gains(design)
     return Document(
         f"The next record of {title}",
-        Later(_brief, design),
+        answer,
+        Tone.CAUTION if doubtful else Tone.GOOD,
+        [first],
+        [*worst_first(design.findings), "the record begins and ends at rest"],
+        Later(lambda: [*more, _limits(design), _alternatives(design)]),
         f"Which record of {title} should be taken next, within what the rig allows?",
-        _verdict(design),
-        Later(_sections, design, command),
-        "design",
+        sections=Later(_sections, design, command),
+        kind="design",
     )
-
-
-def _brief(design: Design) -> Iterator[Block]:
-    """The record, what it should bring, the limits, the alternatives, the findings."""
-    rows, duration = design.experiment.rows, design.experiment.rows * (design.experiment.sampling_time or 0.0)
-    record = f"{format_number(duration)} s, {count_noun(rows, 'row')}"
-    yield Paragraphs([f"{design.model.title}: {name_input(design.kind)} for {GOALS[design.goal]}, {record}"])
-    yield from (*_gains(design), _limits(design), _alternatives(design))
-    yield Facts([(str(f.severity), f) for f in design.findings])
 
 
 def _sections(design: Design, command: str) -> Iterator[Section]:
@@ -65,14 +67,6 @@ def _sections(design: Design, command: str) -> Iterator[Section]:
     yield Section("alternatives", "Alternatives", [_alternatives(design)])
     yield Section("model", "The model", [typeset_equations(design.model)])
     yield provenance_section(command)
-
-
-def _verdict(design: Design) -> Paragraphs:
-    record = design.experiment
-    step = record.sampling_time or 0.0
-    play = f"Play the {name_input(design.kind)} of input.csv: {step * record.rows:g} s, a row every {step:g} s. It begins and ends at rest."
-    doubtful = any(f.severity is not Severity.NOTE for f in design.findings)
-    return Paragraphs([play, *_brings(design), *design.findings], Tone.CAUTION if doubtful else Tone.GOOD)
 
 
 def _brings(design: Design) -> Iterator[str]:
@@ -86,14 +80,14 @@ def _brings(design: Design) -> Iterator[str]:
         relative = {}
     least = max(relative, key=relative.__getitem__, default="")
     if pair:
-        yield f"With it, the wrong explanation of the pair hardest to tell apart, {pair}, loses by {cost:.3g} in the cost."
+        yield f": the wrong explanation of the pair hardest to tell apart, {pair}, then loses by {cost:.3g} in the cost"
     elif shares:
         sizes = sorted(shares.values())
         size = f"{sizes[0]:.2g}" if len(sizes) == 1 else f"{sizes[0]:.2g} to {sizes[-1]:.2g}"
-        yield f"With it, the intervals of {join_names(list(shares))} shrink to {size} of what they are."
+        yield f": the intervals of {join_names(list(shares))} shrink to {size} of what they are"
     elif least:
-        known_to = f"With it, every constant is known to {percent_text(relative[least], 2)} or better"
-        yield f"{known_to} (standard deviation); {least} is the least certain."
+        known_to = f": every constant is then known to {percent_text(relative[least], 2)} or better"
+        yield f"{known_to} (standard deviation), {least} least certain"
 
 
 def _gains(design: Design) -> Iterator[TableBlock]:
@@ -183,13 +177,16 @@ def describe_campaign(campaign: Campaign, *, command: str = "") -> Document:
     """What is said of a campaign; ``command`` is what was typed."""
     machine = campaign.plan.model.title
     head = f"{machine}: campaign in {campaign.folder}, {campaign.status.replace('_', ' ')}"
+    count = count_noun(len(campaign.steps), "experiment")
     return Document(
         f"Campaign on {machine}",
-        [Paragraphs([head]), _experiments(campaign), Paragraphs(campaign.findings)],
-        f"Which effects does the rig of {machine} have, and how precisely are its parameters known?",
-        Paragraphs(campaign.findings, TONES[campaign.status]),
-        Later(_campaign_sections, campaign, command),
-        "campaign",
+        f"{head}, {count}.",
+        TONES[campaign.status],
+        [_experiments(campaign)],
+        campaign.findings,
+        question=f"Which effects does the rig of {machine} have, and how precisely are its parameters known?",
+        sections=Later(_campaign_sections, campaign, command),
+        kind="campaign",
     )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base import GreyboxError
 from greybox.base.extensions import ExtensionKind, extension_names, load_extension
+from greybox.base.texts import to_word
 from greybox.extensions.export.target import ExportTarget
 from greybox.shell.inputs import check_writable, load_fit_with_model
 from greybox.shell.study import SHOWING, Answer, Command, Idle, Needs, Option, Study
@@ -65,11 +66,20 @@ def export(study: ExportStudy) -> Answer:
         study.output or Path("results") / f"{name}-export" / f"{name}{ending}", study.to, kind, study.source
     )
     answer, made = _linear(result, kind, target, study) if kind.linear else _code(result, kind, target, study)
+    first = to_word(str(made.files[0]))
     return Answer(
         answer,
         lambda report: _as_json(made, study.to, report),
+        made.files,
+        next=next(
+            (command.format(first) for ending, command in USES.items() if str(made.files[0]).endswith(ending)), ""
+        ),
         page=lambda: write_report(made, target.with_name(f"{target.name}.html")),
     )
+
+
+# Ending of what was written -> the command that shows that it works.
+USES = {".py": "python {}", ".fmu": "greybox check {}", ".c": "cc -std=c99 -c {}", ".h": "cc -std=c99 -fsyntax-only {}"}
 
 
 def _kind(study: ExportStudy) -> ExportTarget:
@@ -119,7 +129,7 @@ def _linear(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> t
     # Findings of the whole model went to stderr above; those of the reduction belong to what is shown.
     shown = replace(linear, findings=linear.findings[len(whole.findings) :])
     family = None if drawn is None else replace(drawn, findings=())
-    return LinearAnswer(shown, family, written), Export(fit, kind.description, written, linear, drawn)
+    return LinearAnswer(shown, family), Export(fit, kind.description, written, linear, drawn)
 
 
 def _code(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> tuple[LinearAnswer | CodeAnswer, Export]:
@@ -135,11 +145,11 @@ def _code(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> tup
         observer = design_observer(fit, dt, process_noise=dict(study.observer_noise) or None, substeps=substeps)
         files = _write(kind, observer, target)
         what = f"{kind.description.replace('model file', 'file')}, its Kalman filter"
-        return CodeAnswer(fit.model.title, what, observer.dt, "step", files), Export(fit, what, files)
+        return CodeAnswer(fit.model.title, what, observer.dt, "step"), Export(fit, what, files)
     given = {"dt": dt, "substeps": substeps}
     files = _write(kind, fit, target, **{name: given[name] for name in given if name in kind.options})
     step = dt if dt is not None or not kind.stepped else to_plant(fit).sampling_time
-    answer = CodeAnswer(fit.model.title, kind.description, step, kind.stepped or "step", files)
+    answer = CodeAnswer(fit.model.title, kind.description, step, kind.stepped or "step")
     return answer, Export(fit, kind.description, files)
 
 

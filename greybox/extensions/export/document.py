@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from greybox.base.document import Block, CodeBlock, Details, Document, Later, Paragraphs, Section, TableBlock, Tone
+from greybox.base.document import Block, CodeBlock, Details, Document, Later, Section, TableBlock, Text, Tone
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
 from greybox.estimation.result import Fit
-from greybox.show.documents.fit import fit_verdict
-from greybox.show.documents.linearisation import linear_question, linear_sections, linear_verdict
+from greybox.show.documents.linearisation import linear_evidence, linear_question, linear_sections, linear_summary
 from greybox.show.documents.tables import parameters_table, provenance_section, typeset_equations
 from greybox.show.sentences.wording import count_noun
 
@@ -32,15 +31,25 @@ class Export:
 def describe_export(export: Export, *, command: str = "") -> Document:
     """What is said of an export; ``command`` is what was typed."""
     fit, linear = export.fit, export.linear
-    question = f"The fitted model {fit.model.title}, for use outside this program."
-    verdict = _verdict(export)
+    written = f"{count_noun(len(export.files), 'file')} written: {', '.join(f.name for f in export.files)}"
+    tone, answer = Tone.GOOD, f"{fit.model.title} was written as {export.kind}."
+    notes: list[Text] = [written]
+    if linear is not None:
+        summary = linear_summary(linear)
+        tone, answer, notes = summary.tone, str(summary.answer), [*summary.notes, written]
+    elif not fit.success:
+        tone, notes = Tone.BAD, ["the fit did not succeed: do not use this export", written]
     return Document(
         f"{fit.model.title} as {export.kind}",
-        [verdict],
-        question if linear is None else linear_question(linear),
-        verdict,
-        Later(_sections, export, command),
-        "export",
+        answer,
+        tone,
+        notes=notes,
+        question=f"The fitted model {fit.model.title}, for use outside this program."
+        if linear is None
+        else linear_question(linear),
+        evidence=Later(linear_evidence, linear, export.family),
+        sections=Later(_sections, export, command),
+        kind="export",
     )
 
 
@@ -49,20 +58,8 @@ def _sections(export: Export, command: str) -> Iterator[Section]:
     if export.linear is not None:
         yield from linear_sections(export.linear, export.family)
     yield Section("files", "Files", list(_files(export)))
-    yield Section("fit", "The fit", [fit_verdict(fit), parameters_table(fit), typeset_equations(fit.model)])
+    yield Section("fit", "The fit", [fit.describe().verdict, parameters_table(fit), typeset_equations(fit.model)])
     yield provenance_section(command, fit.provenance.versions)
-
-
-def _verdict(export: Export) -> Paragraphs:
-    names = [f.name for f in export.files]
-    written = f"{count_noun(len(names), 'file')} written: {', '.join(names)}."
-    if export.linear is not None:
-        verdict = linear_verdict(export.linear)
-        return Paragraphs([*verdict.items, written], verdict.tone)
-    items = [f"The nonlinear model with the fitted parameters, as {export.kind}.", written]
-    if export.fit.success:
-        return Paragraphs(items, Tone.GOOD)
-    return Paragraphs([*items, "The fit did not succeed: do not use this export."], Tone.BAD)
 
 
 # Letters of a file that an export's page shows.

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from greybox.base import ExitCode, GreyboxError
 from greybox.shell.inputs import layout_of, result_folder, set_parameters
 from greybox.shell.progress import show_progress
-from greybox.shell.study import LAYOUT, SHARING, SHOWING, Answer, Command, Option, Study
+from greybox.shell.study import LAYOUT, SHARING, SHOWING, Answer, Command, NextCommand, Option, Study
 from greybox.shell.study_values import Word
 from greybox.shell.terminal import write_report
+
+if TYPE_CHECKING:
+    from greybox.extensions.fleet.records import RecordCollection
+    from greybox.extensions.fleet.result import FleetResult
 
 JOURNAL = "fleet.jsonl"
 """Records that are done, of a command that was interrupted, in its output folder."""
@@ -74,6 +80,7 @@ def fleet(study: FleetStudy) -> Answer:
         saved,
         lambda: write_report(result, folder / "report.html"),
         kept=f"the results are in {saved[0]}",
+        next=_next(study, result, references),
         failure=f"interrupted; {done}" if result.left else "",
         code=ExitCode.INTERRUPTED
         if result.left
@@ -81,6 +88,14 @@ def fleet(study: FleetStudy) -> Answer:
         if result.without_result
         else ExitCode.SUCCESS,
     )
+
+
+def _next(study: FleetStudy, result: FleetResult, references: RecordCollection) -> NextCommand | str:
+    """The record that the model follows worst is looked at by itself, where it has a file of its own."""
+    ratios = {r.name: max((m.noise_ratio for m in r.misfit.values()), default=0.0) for r in result.records if r.success}
+    worst = max(ratios, key=ratios.__getitem__, default="")
+    files = [r.path for r in references.references if r.name == worst and r.rows is None]
+    return study.then("fit", study.model, *files[:1]) if files else ""
 
 
 FLEET = Command(

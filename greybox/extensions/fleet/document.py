@@ -10,7 +10,7 @@ from greybox.base import Severity
 from greybox.base import document as doc
 from greybox.base.figure import Axis, Bars, Figure, Panel, Reference, Role, Series
 from greybox.extensions.fleet.result import ConstantDistribution, FleetCode, FleetResult, RecordEstimate
-from greybox.show.documents.tables import provenance_section
+from greybox.show.documents.tables import provenance_section, worst_first
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.sentences.registry import sentence
 from greybox.show.sentences.wording import (
@@ -25,8 +25,6 @@ from greybox.show.sentences.wording import (
 
 # Records that a table of the page holds: those that need a look first; the file has all.
 LISTED_RECORDS = 200
-# Records without a result that print names; the page and the table have all.
-NAMED_RECORDS = 10
 
 
 def describe_fleet(fleet: FleetResult, *, command: str = "") -> doc.Document:
@@ -34,33 +32,41 @@ def describe_fleet(fleet: FleetResult, *, command: str = "") -> doc.Document:
     records = count_noun(fleet.total, "record")
     summary = [f for f in fleet.findings if f.code in (FleetCode.RECORDS_FITTED, FleetCode.RECORDS_LEFT)]
     tone = doc.Tone.GOOD if all(f.severity is Severity.NOTE for f in summary) else doc.Tone.CAUTION
+    title, (first, *more) = fleet.model.title, _tables(fleet)
+    others = [f for f in fleet.findings if f is not fleet.findings[0]]
     return doc.Document(
-        f"{fleet.model.title}: {records}",
-        doc.Later(_brief, fleet),
-        f"What are the constants of {fleet.model.title} in each of {records}?",
-        doc.Paragraphs(summary, tone),
+        f"{title}: {records}",
+        f"{title}: {sentence(fleet.findings[0])}{_spread_text(fleet)}.",
+        tone,
+        [first],
+        worst_first(others),
+        more,
+        f"What are the constants of {title} in each of {records}?",
+        doc.Later(_evidence, fleet),
         doc.Later(_sections, fleet, command),
         "fleet",
     )
 
 
-def _brief(fleet: FleetResult) -> Iterator[doc.Block]:
-    """How many records have a result, the population of the constants, what is said of how many records."""
-    first, *others = fleet.findings
-    yield doc.Paragraphs([f"{fleet.model.title}: {sentence(first)}"])
-    yield from _tables(fleet)
-    failed = [f for f in others if f.code == FleetCode.RECORD_WITHOUT_RESULT]
-    notes: list[tuple[str, doc.Text]] = [(str(f.severity), f) for f in others if f not in failed[NAMED_RECORDS:]]
-    if len(failed) > NAMED_RECORDS:
-        more = count_noun(len(failed) - NAMED_RECORDS, "more record")
-        notes.append(("warning", f"{more} without a result; the table names them"))
-    yield doc.Facts(notes)
+def _spread_text(fleet: FleetResult) -> str:
+    """The constant that differs most from record to record."""
+    spreads = {n: c.spread for n, c in fleet.population.items() if c.relative and c.spread}
+    name = max(spreads, key=spreads.__getitem__, default="")
+    return (
+        f"; {name} differs most from record to record, by {percent_text(spreads[name], 2)} (one standard deviation)"
+        if name
+        else ""
+    )
+
+
+def _evidence(fleet: FleetResult) -> Iterator[doc.FigureBlock]:
+    figure = plot_population_of_fleet(fleet)
+    if figure is not None:
+        yield doc.FigureBlock(figure)
 
 
 def _sections(fleet: FleetResult, command: str) -> Iterator[doc.Section]:
-    figure = plot_population_of_fleet(fleet)
-    figures = [] if figure is None else [doc.FigureBlock(figure)]
-    yield doc.Section("population", "The constants over the records", [*figures, *_tables(fleet)])
+    yield doc.Section("population", "The constants over the records", list(_tables(fleet)))
     if failed := fleet.without_result:
         rows = [[r.name, r.status.replace("_", " "), r.reason] for r in failed[:LISTED_RECORDS]]
         more = len(failed) - LISTED_RECORDS

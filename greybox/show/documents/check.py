@@ -12,12 +12,19 @@ from greybox.estimation.check import ModelCheck
 from greybox.estimation.identifiability.practical import ExpectedPrecision
 from greybox.model import equations_text
 from greybox.show.documents.fit import OPEN_RECORDS
-from greybox.show.documents.tables import format_sampling_time, provenance_section, signal_units, typeset_equations
+from greybox.show.documents.tables import (
+    format_sampling_time,
+    provenance_section,
+    signal_units,
+    typeset_equations,
+    worst_first,
+)
 from greybox.show.figures.figure import stretches_on_page
 from greybox.show.figures.fit import plot_intervals
 from greybox.show.figures.records import plot_inputs, plot_outputs
 from greybox.show.sentences.identifiability import describe_inputs, describe_verdict
 from greybox.show.sentences.model import write_places
+from greybox.show.sentences.registry import sentence
 from greybox.show.sentences.wording import capitalise, format_number, join_names, percent_text, record_text
 
 
@@ -26,11 +33,14 @@ def describe_check(check: ModelCheck, *, command: str = "") -> doc.Document:
     names = join_names([q.name for q in check.model.free_parameters]) or "the parameters"
     return doc.Document(
         f"Check of {check.model.title}",
-        doc.Later(_brief, check),
+        _answer(check),
+        _tone(check),
+        [] if check.failure else [_precision_table(check)],
+        _notes(check),
+        doc.Later(_details, check),
         f"Can {names} be determined? This is checked before the fit.",
-        _verdict(check),
-        doc.Later(_sections, check, command),
-        "check",
+        sections=doc.Later(_sections, check, command),
+        kind="check",
     )
 
 
@@ -38,9 +48,9 @@ def describe_check(check: ModelCheck, *, command: str = "") -> doc.Document:
 WIDTH = 16
 
 
-def _brief(check: ModelCheck) -> Iterator[doc.Block]:
+def _details(check: ModelCheck) -> Iterator[doc.Block]:
     """Equations, integration, records, what the outputs can tell at best and what these records tell, roles and effects."""
-    yield doc.Paragraphs([check.model.title, equations_text(check.model)])
+    yield doc.EquationList([], equations_text(check.model))
     facts = _computation(check)
     if check.assumed:
         facts += _listed("records", ["none given; simulated at the start values:", str(check.assumed)])
@@ -50,21 +60,12 @@ def _brief(check: ModelCheck) -> Iterator[doc.Block]:
         facts += [("noise", _noise(check)), *_listed("input", inputs)]
     yield doc.Facts(facts, width=WIDTH)
     yield from _roles(check)
-    no_parameters = doc.Facts([("parameters", check.failure or "")], width=WIDTH)
     if check.failure and not check.model.free_parameters:
-        yield no_parameters
         return
     verdict = check.doubt if check.structure is None else describe_verdict(check.structure)
     yield doc.Details(f"identifiability from any record: {verdict}{_choice(check)}", [_structure_facts(check)])
-    yield doc.Facts([("note", finding) for finding in check.other_answers])
-    if check.failure:
-        yield no_parameters
-        return
-    records = "such a record" if check.assumed else "these records, near the start values"
-    yield doc.Details(f"expected precision from {records}:", [_precision_table(check), *_combinations(check)])
-    yield doc.Facts([("note", finding) for finding in check.practical.findings])
-    if check.complete:
-        yield doc.Paragraphs([f"every free parameter is determined{_choice(check)}"])
+    if not check.failure:
+        yield from _combinations(check)
 
 
 def _listed(name: str, lines: Iterable[str]) -> list[tuple[str, str]]:
@@ -107,41 +108,52 @@ def _sections(check: ModelCheck, command: str) -> Iterator[doc.Section]:
     yield provenance_section(command)
 
 
-def _verdict(check: ModelCheck) -> doc.Paragraphs:
-    findings = collect_record_findings(check.experiments)
-    faults = [_about_record(finding) for finding in findings if is_sensor_fault(finding)]
-    answer = _answer(check)
-    tone = doc.Tone.CAUTION if faults and answer.tone is doc.Tone.GOOD else answer.tone
-    return doc.Paragraphs([*faults, *answer.items], tone)
+def _faults(check: ModelCheck) -> list[doc.Text]:
+    return [
+        _about_record(finding) for finding in collect_record_findings(check.experiments) if is_sensor_fault(finding)
+    ]
 
 
-def _answer(check: ModelCheck) -> doc.Paragraphs:
+def _answer(check: ModelCheck) -> str:
+    """Which parameters a fit would determine, and how well the least certain of them."""
+    title = check.model.title
     if check.doubt and check.model.has_equations:
-        return doc.Paragraphs([f"The check has no answer: {check.doubt}"], doc.Tone.BAD)
+        return f"The check of {title} has no answer: {check.doubt}."
     if check.failure:
-        return doc.Paragraphs([check.failure], doc.Tone.CAUTION)
-    assumed = bool(check.assumed)
-    if check.complete:
-        return doc.Paragraphs(
-            [
-                f"{'A record such as this one determines' if assumed else 'These records determine'} every free parameter, if the"
-                " model is right.",
-                *check.other_answers,
-            ],
-            doc.Tone.CAUTION if check.other_answers else doc.Tone.GOOD,
-        )
-    answer: list[doc.Text] = []
-    if check.structure is not None and not check.structure.complete:
-        answer += [describe_verdict(check.structure)]
-    undetermined = [name for name, c in check.constants.items() if not c.determined]
-    if undetermined:
-        answer.append(
-            f"{'A record such as this one does' if assumed else 'These records do'} not determine {join_names(undetermined)}."
-        )
-    if check.structure is not None and check.structure.recommendations:
-        answer.append(f"Remedy: {check.structure.recommendations[0]}")
-    answer += check.other_answers
-    return doc.Paragraphs(answer, doc.Tone.CAUTION)
+        return f"{title}: {check.failure}."
+    open_ones = [name for name, c in check.constants.items() if not c.determined]
+    shares = {n: c.std / abs(c.value) for n, c in check.constants.items() if c.determined and c.std and c.value}
+    worst = max(shares, key=shares.__getitem__, default="")
+    reach = f" to {percent_text(shares[worst], 2)} or better ({worst})" if worst else ""
+    records = "A record such as this one determines" if check.assumed else "These records determine"
+    count = len(check.constants) - len(open_ones)
+    if not open_ones:
+        which = "every free parameter" if check.complete else "each parameter only by averaging the noise"
+        return f"{records} {which} of {title}{reach}{_choice(check)}, if the model is right."
+    left = f"{join_names(open_ones)} {'stays' if len(open_ones) == 1 else 'stay'} open"
+    return f"{records} {count or 'none'} of the {len(check.constants)} free parameters of {title}{reach}; {left}."
+
+
+def _tone(check: ModelCheck) -> doc.Tone:
+    if check.doubt and check.model.has_equations:
+        return doc.Tone.BAD
+    return (
+        doc.Tone.GOOD
+        if check.complete and not (check.failure or check.other_answers or _faults(check))
+        else doc.Tone.CAUTION
+    )
+
+
+def _notes(check: ModelCheck) -> list[doc.Text]:
+    """Doubtful sensors, what any record leaves open and the remedy, what is known of these records, effects with a place."""
+    notes, structure = _faults(check), check.structure
+    if structure is not None and not structure.complete:
+        notes.append(describe_verdict(structure))
+        notes += [f"remedy: {sentence(remedy)}" for remedy in structure.recommendations]
+    notes += [*check.other_answers, *worst_first(check.practical.findings)]
+    if check.model.has_equations and not check.compiled:
+        notes.append("for the fast kernel, install a C compiler (gcc, clang) or set the environment variable CC")
+    return notes
 
 
 def _precision(check: ModelCheck) -> Iterator[doc.Block]:

@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from greybox.base import document as doc
 from greybox.base import format_unit
 from greybox.base.findings import Finding, with_code
+from greybox.base.numerics import TINY
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonFinding, ComparisonScore
 from greybox.estimation.result import Fit
 from greybox.show.documents.fit import OPEN_RECORDS, not_drawn
-from greybox.show.documents.tables import parameters_table, provenance_section, typeset_equations
+from greybox.show.documents.tables import parameters_table, provenance_section, typeset_equations, worst_first
 from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.show.figures.figure import stretches_on_page
 from greybox.show.sentences.registry import sentence, sentences
-from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, record_text, shorten
+from greybox.show.sentences.wording import (
+    capitalise,
+    count_noun,
+    format_number,
+    join_names,
+    plain_number,
+    quantity_text,
+    record_text,
+    shorten,
+)
 
 
 def describe_comparison(
@@ -50,12 +59,15 @@ def describe_comparison(
     )
     return doc.Document(
         "Comparison of grey-box and black-box models",
-        doc.Later(_brief, comparison),
+        comparison_answer(comparison),
+        comparison_tone(comparison),
+        doc.Later(lambda: [summary_table(comparison)]),
+        doc.Later(_notes, comparison),
+        doc.Later(_details, comparison),
         question,
-        comparison_verdict(comparison),
+        doc.Later(lambda: [doc.FigureBlock(plot_model_errors(comparison))]),
         doc.Later(_sections, comparison, fits or {}, data or {}, known, command),
         "comparison",
-        doc.Later(lambda: [doc.FigureBlock(plot_model_errors(comparison))]),
     )
 
 
@@ -68,7 +80,7 @@ def _sections(
 ) -> Iterator[doc.Section]:
     yield doc.Section("errors", "Errors", list(error_blocks(comparison)))
     yield doc.Section("runs", "Runs", list(_runs(comparison)))
-    notes = [doc.BulletList(known_of_models)] if (known_of_models := _notes(comparison)) else []
+    notes = [doc.BulletList(known_of_models)] if (known_of_models := _remarks(comparison)) else []
     yield doc.Section("models", "Models", [models_table(comparison), *structures(comparison), *notes])
     if fits:
         yield doc.Section("physics", "The physical models", list(_physics(fits)))
@@ -76,38 +88,91 @@ def _sections(
     yield provenance_section(command)
 
 
-# Columns of a terminal, and letters of a name in a table on it.
-LINE_WIDTH, NAME_WIDTH = 100, 42
+# Letters of a name in a table on a terminal.
+NAME_WIDTH = 42
 
 
-def _brief(comparison: Comparison) -> Iterator[doc.Block]:
-    """Errors by output, best first, on validation and estimation records; what each model is; the verdict."""
+def comparison_answer(comparison: Comparison) -> str:
+    """The best model, its error and that of the best box of the other kind, in the output where the two are furthest apart."""
+    pairs = {}
+    for output in comparison.outputs:
+        if ranking := _rank(comparison, output):
+            rival = next((item for item in ranking if item[1].kind is not ranking[0][1].kind), None)
+            pairs[output] = (ranking[0], rival, rival[0] / max(ranking[0][0], TINY) if rival else 0.0)
+    if not pairs:
+        return "No model of this comparison has an error on these records."
+    output = max(pairs, key=lambda name: pairs[name][2])
+    (error, best), other, times_worse = pairs[output]
+    unit, records = format_unit(comparison.outputs[output]), "validation" if comparison.validation else "estimation"
+    size = quantity_text(error, unit, beside=other[0] if other else 0.0)
+    text = f"{best.name} is best: its error in {output} on the {records} records is {size}"
+    if other is None:
+        return f"{text}; there is no box of another kind."
+    times = f", {plain_number(times_worse)} times as much" if error > 0 else ""
+    return f"{text}; that of the best {other[1].kind} box, {other[1].name}, is {quantity_text(other[0], unit)}{times}."
+
+
+def best_model(comparison: Comparison) -> ComparisonEntry | None:
+    """The best model of the first output that has one."""
+    return next((e for output in comparison.outputs if (e := _best(comparison, output)) is not None), None)
+
+
+def comparison_tone(comparison: Comparison) -> doc.Tone:
+    """Green where a grey box has the smallest free-run error of every output."""
+    best = [_best(comparison, output) for output in comparison.outputs]
+    physics_is_best = bool(best) and all(e is not None and e.kind == "grey" for e in best)
+    failed = with_code(comparison.verdict, ComparisonFinding.FAILED_FITS)
+    return doc.Tone.GOOD if physics_is_best and not failed else doc.Tone.CAUTION
+
+
+def summary_table(comparison: Comparison) -> doc.TableBlock:
+    """Error and best fit of each model on the judging records, the best first."""
+    names = list(dict.fromkeys(e.name for output in comparison.outputs for _, e in _rank(comparison, output)))
+    names += [e.name for e in comparison.entries if e.name not in names]
+    # One prefix a column: numbers below one another are compared.
+    largest = {
+        output: max((error for error, _ in _rank(comparison, output)), default=0.0) for output in comparison.outputs
+    }
+    rows = []
+    for name in names:
+        scores = comparison.deciding_scores(comparison[name])
+        cells = []
+        for output, unit in comparison.outputs.items():
+            s = scores.get(output)
+            if s is None or not math.isfinite(s.rmse):
+                cells += ["-", "-"]
+            else:
+                error = quantity_text(s.rmse, format_unit(unit), beside=largest[output])
+                cells += [error, f"{s.best_fit_percent:.1f} %"]
+        rows.append([shorten(name, NAME_WIDTH), str(comparison[name].kind), str(comparison[name].parameters), *cells])
+    heads = [head for output in comparison.outputs for head in (f"error in {output}", "fit")]
+    return doc.TableBlock("Free run on the judging records", ["model", "box", "parameters", *heads], rows)
+
+
+def _notes(comparison: Comparison) -> list[doc.Text]:
+    """What the answer and its table leave out, the worst first."""
+    findings = [f for f in comparison.verdict if f.code != ComparisonFinding.BEST_MODEL]
+    return [*worst_first(findings), *_remarks(comparison)]
+
+
+def _details(comparison: Comparison) -> Iterator[doc.Block]:
+    """Errors by output, best first, on validation and estimation records; what each model is; who is best at what."""
     tables = [*_error_tables(comparison, "validation"), *_error_tables(comparison, "training")]
     for table in [*tables, *_record_tables(comparison), models_table(comparison)]:
         yield replace(table, rows=[[shorten(row[0], NAME_WIDTH), *row[1:]] for row in table.rows])
     yield from structures(comparison)
-    texts = [*sentences(comparison.verdict), *(f"note: {text}" for text in _notes(comparison))]
-    yield doc.Paragraphs(
-        [textwrap.fill(text, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for text in texts]
-    )
+    yield doc.Paragraphs(with_code(comparison.verdict, ComparisonFinding.BEST_MODEL))
 
 
-def comparison_verdict(comparison: Comparison) -> doc.Paragraphs:
-    """The verdict: good where a grey box has the smallest free-run error of every output."""
-    best = [_best(comparison, output) for output in comparison.outputs]
-    physics_is_best = bool(best) and all(e is not None and e.kind == "grey" for e in best)
-    failed = with_code(comparison.verdict, ComparisonFinding.FAILED_FITS)
-    return doc.Paragraphs(comparison.verdict, doc.Tone.GOOD if physics_is_best and not failed else doc.Tone.CAUTION)
+def _rank(comparison: Comparison, output: str) -> list[tuple[float, ComparisonEntry]]:
+    """The models with a finite error of an output on the judging records, best first."""
+    scores = [(comparison.deciding_scores(e).get(output), e) for e in comparison.entries]
+    known = [(s.rmse, e) for s, e in scores if s is not None and math.isfinite(s.rmse)]
+    return sorted(known, key=lambda item: item[0])
 
 
 def _best(comparison: Comparison, output: str) -> ComparisonEntry | None:
-    scores = [
-        (comparison.deciding_scores(e)[output].rmse, k)
-        for k, e in enumerate(comparison.entries)
-        if output in comparison.deciding_scores(e)
-    ]
-    finite = [pair for pair in scores if math.isfinite(pair[0])]
-    return comparison.entries[min(finite)[1]] if finite else None
+    return next((e for _, e in _rank(comparison, output)), None)
 
 
 def error_blocks(comparison: Comparison) -> Iterator[doc.Block]:
@@ -230,7 +295,7 @@ def structures(comparison: Comparison) -> Iterator[doc.Facts]:
         yield doc.Facts(entries, "Structures")
 
 
-def _notes(comparison: Comparison) -> list[str]:
+def _remarks(comparison: Comparison) -> list[str]:
     """What is to be known of the comparison and of its models."""
     of_models = [f"{e.name}: {sentence(finding)}" for e in comparison.entries for finding in e.findings]
     return [*sentences(comparison.findings), *of_models]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
+from greybox.base import Severity
 from greybox.base import document as doc
 from greybox.base.json_shape import to_values
+from greybox.base.numerics import TINY
 from greybox.discovery.claims import Depth, name_claim
 from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.findings import DiscoveryCode
@@ -18,7 +20,7 @@ from greybox.show.figures.figure import stretches_on_page, typeset_unit
 from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.show.sentences import discovery as words
 from greybox.show.sentences.registry import sentences
-from greybox.show.sentences.wording import capitalise, count_noun, record_text, value_with_unit
+from greybox.show.sentences.wording import capitalise, change_text, count_noun, record_text, value_with_unit
 
 if TYPE_CHECKING:
     from greybox.discovery import Discovery, HoldoutError, Refinement
@@ -32,12 +34,19 @@ def describe_discovery(discovery: Discovery, *, command: str = "") -> doc.Docume
     plain = discovery.base.model.title
     return doc.Document(
         f"Effects that {plain} lacks",
-        doc.Later(_brief, discovery),
+        discovery_answer(discovery),
+        discovery_tone(discovery),
+        doc.Later(
+            lambda: (
+                [_effects_table(discovery)] if discovery.effects else [_candidates_table(discovery, LISTED_CANDIDATES)]
+            )
+        ),
+        doc.Later(_notes, discovery),
+        doc.Later(_details, discovery),
         f"Which effect, if any, does {plain} lack?",
-        discovery_verdict(discovery),
+        doc.Later(lambda: [doc.FigureBlock(search_figures.plot_holdout_error(discovery))]),
         doc.Later(_sections, discovery, command),
         "discovery",
-        doc.Later(lambda: [doc.FigureBlock(search_figures.plot_holdout_error(discovery))]),
     )
 
 
@@ -47,49 +56,63 @@ LISTED_CANDIDATES = 10
 FAILED_CODES = (DiscoveryCode.CANDIDATE_FAILED, DiscoveryCode.CANDIDATE_NOT_SIMULATED)
 
 
-def _brief(d: Discovery) -> Iterator[doc.Block]:
-    """The answer, the effects with what speaks for them, the errors, the claims, the candidates, and what to do next."""
-    further = [words.refinement_text(d.refinement)] if d.refinement is not None and d.refinement.steps else []
-    yield doc.Paragraphs([d.story, *further])
+def discovery_answer(discovery: Discovery) -> str:
+    """What the model lacks, and the error on other records before and after in the output that it misses most."""
+    first, *_ = sentences(discovery.conclusion) or ("There is no verdict.",)
+    errors = discovery.holdout
+    if not discovery.effects or not errors:
+        return first
+    output = max(errors, key=lambda name: errors[name].before / max(errors[name].after, TINY))
+    e = errors[output]
+    change = change_text(e.before, e.after, e.unit)
+    return f"{first.rstrip('.')}; the error in {output} on the validation records falls from {change}."
+
+
+def discovery_tone(discovery: Discovery) -> doc.Tone:
+    """Green where the answer is certain; every other verdict asks for caution."""
+    return TONES.get(discovery.verdict, doc.Tone.CAUTION)
+
+
+def _notes(d: Discovery) -> Iterator[doc.Text]:
+    """What the answer leaves out, the next step, what to know of the records."""
+    # The errors of each output stand with the answer and in the details.
+    yield from (text for text in sentences(d.conclusion)[1:] if not text.startswith("The error in"))
+    yield from (f for f in tables.worst_first((*d.findings, *d.instruments)) if f.severity is not Severity.NOTE)
+    yield from d.next_steps
+    yield from (f"{name} is out: {finding}" for name, finding in d.not_tried.items() if finding.code in FAILED_CODES)
+    yield from (text for text in [words.impossible_text(d.not_tried)] if text)
+    yield from (f for f in (*d.findings, *d.instruments) if f.severity is Severity.NOTE)
+
+
+def _details(d: Discovery) -> Iterator[doc.Block]:
+    """Where the plain model falls short, the errors, the claims, the candidates."""
     where = str(d.localisation).splitlines() if d.localisation.is_missing else []
-    yield doc.BulletList(
-        [
-            *(f"the plain model: {line}" for line in where),
-            *_effects(d, indent="  "),
-            *holdout_lines(d),
-            *([] if d.surrogate is None else [f"surrogate: {d.surrogate}"]),
-        ]
-    )
-    if d.claims and d.verdict is not Verdict.NAMED:
+    lines = [*(f"the plain model: {line}" for line in where), *holdout_lines(d)]
+    yield doc.BulletList([*lines, *([] if d.surrogate is None else [f"surrogate: {d.surrogate}"])])
+    if d.refinement is not None and d.refinement.steps:
+        yield doc.Paragraphs([words.refinement_text(d.refinement)])
+    if d.claims:
         yield _claims(d)
     if d.false_names:
         yield doc.Paragraphs([words.false_names_text(rate) for rate in d.false_names])
     if d.ranking:
         yield _candidates_table(d, LISTED_CANDIDATES)
-    failed = {name: finding for name, finding in d.not_tried.items() if finding.code in FAILED_CODES}
-    yield doc.Paragraphs(
-        [
-            *(f"next: {step}" for step in d.next_steps),
-            *(f"note: {name} is out: {finding}" for name, finding in failed.items()),
-            *(f"note: {text}" for text in [words.impossible_text(d.not_tried)] if text),
-            *(f"note: {finding}" for finding in (*d.findings, *d.instruments)),
-        ]
-    )
 
 
-def _effects(discovery: Discovery, indent: str = "", write_unit: Callable[[str], str] = str) -> Iterator[str]:
-    """Each effect with where it acts and its constants, and what speaks for it."""
+def _effects_table(discovery: Discovery) -> doc.TableBlock:
+    """Each effect, where it acts, its constants, and how certain it is."""
     called = {law.name: law.claimed for law in discovery.laws}
+    rows = []
     for effect in discovery.effects:
-        constants = [
-            words.constant_text(n, {**c, "unit": write_unit(c["unit"])}) for n, c in effect["parameters"].items()
-        ]
-        # The equation of a law, the constants; an effect without a constant is all said by its name.
-        details = [*([effect["equation"]] if "equation" in effect else []), *constants]
-        yield f"{effect['name']} -> {effect['site']}" + (f": {', '.join(details)}" if details else "")
         claim = name_claim(discovery.claims, called.get(effect["name"], effect["name"]))
-        if claim is not None:
-            yield f"{indent}{words.name_text(claim)}"
+        constants = [words.constant_text(n, c) for n, c in effect["parameters"].items()]
+        certainty = (
+            "" if claim is None else f"{words.GRADES[claim.grade]} ({words.probability_text(claim.probability)})"
+        )
+        first, *more = [*([effect["equation"]] if "equation" in effect else []), *constants] or [""]
+        rows.append([effect["name"], effect["site"], first, certainty])
+        rows += [["", "", constant, ""] for constant in more]
+    return doc.TableBlock("What the model lacks", ["effect", "acts at", "constants", "certainty"], rows)
 
 
 def holdout_lines(discovery: Discovery) -> list[str]:
@@ -105,15 +128,6 @@ def _sections(discovery: Discovery, command: str) -> Iterator[doc.Section]:
     yield doc.Section(*names, [tables.typeset_equations(best.model)])
     yield tables.records_section(best)
     yield tables.fit_provenance_section(best, command)
-
-
-def discovery_verdict(discovery: Discovery) -> doc.Paragraphs:
-    """The answer, the effects with their constants, the next steps and the findings."""
-    effects = _effects(discovery, write_unit=typeset_unit) if discovery.verdict is not Verdict.COMPLETE else ()
-    steps = [f"Next step: {step}" for step in discovery.next_steps]
-    tone = TONES.get(discovery.verdict, doc.Tone.CAUTION)
-    notes = *discovery.findings, *discovery.instruments
-    return doc.Paragraphs([*sentences(discovery.conclusion), *effects, *steps, *notes], tone)
 
 
 def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) -> Iterator[doc.Section]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from greybox.base import Finding
+from greybox.base import GreyboxError, Severity, format_unit
 from greybox.base import document as doc
+from greybox.data.noise import BoundDirection
 from greybox.estimation import Fit, errors, optimum, result_parts
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.identifiability.practical import recommend_after_fit
@@ -16,7 +17,14 @@ from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_te
 from greybox.show.documents import tables
 from greybox.show.figures import fit as figures
 from greybox.show.figures.figure import stretches_on_page
-from greybox.show.figures.records import SIGNAL_ON_PAGE, plot_inputs, plot_residual, plot_run, plot_spectrum
+from greybox.show.figures.records import (
+    SIGNAL_ON_PAGE,
+    plot_inputs,
+    plot_residual,
+    plot_run,
+    plot_runs_before_after,
+    plot_spectrum,
+)
 from greybox.show.sentences.estimation import list_tests_not_made, residual_tests_tables
 from greybox.show.sentences.registry import sentences
 from greybox.show.sentences.wording import (
@@ -24,9 +32,15 @@ from greybox.show.sentences.wording import (
     format_number,
     format_with_std,
     join_names,
+    noise_text,
     percent_text,
+    plain_number,
+    quantity_text,
+    ratio_text,
     record_text,
+    with_unit,
 )
+from greybox.simulation.simulate import simulate
 
 
 def describe_fit(
@@ -54,25 +68,27 @@ def describe_fit(
     """
     return doc.Document(
         f"Fit of {fit.model.title}",
-        doc.Later(_brief, fit),
+        fit_answer(fit),
+        fit_tone(fit),
+        doc.Later(lambda: [tables.parameters_table(fit, fitted=True)]),
+        doc.Later(fit_notes, fit),
+        doc.Later(_details, fit),
         _question(fit),
-        fit_verdict(fit),
+        doc.Later(_evidence, fit),
         doc.Later(_sections, fit, command, tests, skip, intervals),
         "fit",
-        doc.Later(_evidence, fit),
     )
 
 
-def _brief(fit: Fit) -> Iterator[doc.Block]:
-    """Status beside misfit over noise, the parameters with intervals, the misfit by output, and what to know before trusting them."""
-    yield doc.Paragraphs([f"{fit.model.title}: {fit.solver}"])
+def _details(fit: Fit) -> Iterator[doc.Block]:
+    """All parameters, the priors, the misfit by output, where the noise is known from, how it was computed, and the equations."""
     yield tables.parameters_table(fit)
     yield from _priors(fit)
     yield from _misfits(fit)
-    if kind := _interval_kind(fit):
-        yield doc.Facts([("intervals", kind)])
-    notes = (("note", text) for text in sentences(fit.findings))
-    yield doc.Facts([("noise", str(fit.noise)), *tables.computation_facts(fit), *notes])
+    kind = _interval_kind(fit)
+    facts = [("intervals", kind)] if kind else []
+    yield doc.Facts([*facts, ("noise", str(fit.noise)), *tables.computation_facts(fit)])
+    yield doc.EquationList([], fit.provenance.equations)
 
 
 def _sections(
@@ -81,107 +97,126 @@ def _sections(
     yield doc.Section("parameters", "Parameters", list(_parameters(fit, intervals)))
     yield doc.Section("misfit", "Measured and simulated", list(_misfit(fit, skip)))
     yield doc.Section("residual", "Tests of the residual", list(_residual(fit, tests)))
+    if fit.starts:
+        yield doc.Section("starts", "The starts", list(_starts(fit)))
     yield doc.Section("model", "The model", [tables.typeset_equations(fit.model)])
     yield tables.records_section(fit)
     yield tables.fit_provenance_section(fit, command)
 
 
 UNDETERMINED = (EstimationCode.PARAMETER_UNDETERMINED, EstimationCode.DIRECTION_UNDETERMINED)
-
-
+# What the answer of a fit says already.
+ANSWERED = (EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE)
 # Up to so many times the noise a fit is said to explain its records: noise is known to about a tenth.
 GOOD_MISFIT = 1.2
-# Findings of a fit that stand with its verdict.
-LEADING_FINDINGS = 3
 
 
-def fit_verdict(fit: Fit) -> doc.Paragraphs:
-    """Whether the fit succeeded, and what to know before trusting it."""
-    leading = LEADING_FINDINGS
+def fit_answer(fit: Fit) -> str:
+    """Whether the model explains its records: the worst error, the noise that it is divided by, and the same on other records."""
+    title, worst = fit.model.title, _worst(judged_misfit(fit))
     if not fit.success:
-        failure = (
-            f"The fit did not succeed: {fit.solver.status_message}.",
-            "The numbers below are those of the last point of the search. Use them only for diagnosis.",
+        return (
+            f"The fit of {title} did not succeed: {fit.solver.status_message}. Use its numbers only for diagnosis: they are those of the"
+            " last point of the search."
         )
-        return doc.Paragraphs([*failure, *fit.findings[:leading]], doc.Tone.BAD)
-    free = [name for name in fit.uncertainty.free if name in fit.parameters]
-    undetermined = [name for name in free if not fit.parameters[name].determined]
-    known = [m.noise_ratio for m in fit.misfit.values() if math.isfinite(m.noise_ratio)]
-    is_good = bool(known) and max(known) <= GOOD_MISFIT and not undetermined
-    return doc.Paragraphs(
-        [_misfit_note(fit), _determined(fit, undetermined), _validated(fit), *_further(fit)[:leading]],
-        doc.Tone.GOOD if is_good else doc.Tone.CAUTION,
-    )
-
-
-def findings_below(fit: Fit) -> list[Finding]:
-    """What the page says of a fit beside its residual: findings that neither the verdict nor the parameters say already."""
-    # The verdict of a fit that failed has the first ones already, of any kind.
-    return [*(_further(fit) if fit.success else fit.findings)[LEADING_FINDINGS:]]
-
-
-def _further(fit: Fit) -> list[Finding]:
-    """Findings that say something else than sentences of the page: what is above the noise, open, or widened stands there once."""
-    worst = _worst_misfit(fit)
-    known = {EstimationCode.MISFIT_ABOVE_NOISE} if worst is not None and worst > GOOD_MISFIT else set()
-    if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
-        known.add(EstimationCode.RESIDUAL_CORRELATED)  # the note below the parameters
-    return [f for f in fit.findings if f.code not in known.union(UNDETERMINED)]
-
-
-def _ratios(misfit: Mapping[str, result_parts.Misfit], at_least: Mapping[str, float]) -> dict[str, float]:
-    """How many times the noise each output's error is; ``at_least`` so many where the noise has no more than a ceiling."""
-    return {name: at_least.get(name, m.noise_ratio) for name, m in misfit.items()}
-
-
-def _worst_misfit(fit: Fit) -> float | None:
-    """The largest residual over noise of an output, at least; None where no noise is known."""
-    return max((r for r in _ratios(fit.misfit, fit.misfit_at_least).values() if math.isfinite(r)), default=None)
-
-
-def _misfit_note(fit: Fit) -> str:
-    worst = _worst_misfit(fit)
     if worst is None:
-        return "The noise is not known, so the misfit cannot be judged."
-    size = _over_noise(fit.misfit, fit.misfit_at_least)
-    if worst > GOOD_MISFIT:
         return (
-            f"The model does not explain the estimation records: the residual is {size}. Either the model lacks an effect, which"
-            " greybox discover searches for, or the noise is larger than assumed. Its parameters may be biased."
+            f"{title}: the noise is not known, so nothing says whether the error of the model is noise{_judged(fit)}."
         )
-    # Above the level that is weighed with and below the ceiling it may be noise, and may be none.
-    if any(m.noise_ratio > GOOD_MISFIT for m in fit.misfit.values()):
-        return (
-            f"The estimation records do not show whether the model lacks an effect: the residual is {size}, of which they show no more"
-            " than a ceiling. A quiet record shows its level."
-        )
-    return f"The model explains the estimation records: the residual is {size}."
+    output, m = worst
+    if m.noise_ratio > GOOD_MISFIT:
+        says = "does not explain its records"
+    elif _open_outputs(fit):
+        says = "may explain its records, whose noise has no more than a ceiling"
+    else:
+        says = "explains its records"
+    ahead = " one sample ahead" if fit.prediction.process_noise else ""
+    return f"{title} {says}{ahead}: {error_text(output, m)}{_judged(fit)}."
 
 
-def _over_noise(misfit: Mapping[str, result_parts.Misfit], at_least: Mapping[str, float]) -> str:
-    """``1.02 times the noise in x and 0.98 times the noise in i``; ``at least`` where the noise is only bounded."""
-    ratios = _ratios(misfit, at_least).items()
-    return join_names([f"{'at least ' * (name in at_least)}{r:.3g} times the noise in {name}" for name, r in ratios])
+def judged_misfit(fit: Fit) -> Mapping[str, result_parts.Misfit]:
+    """What a fit is judged by: its free run, or the prediction that its process noise corrects."""
+    return fit.prediction.one_step if fit.prediction.process_noise else fit.misfit
 
 
-def _determined(fit: Fit, undetermined: list[str]) -> str:
-    free = list(fit.uncertainty.free)
-    if not free:
-        return "No parameter was fitted."
-    if undetermined:
-        return f"The records do not determine {join_names(undetermined)}: the 95 % interval exceeds half the value."
-    widths = [half for name in free if (half := figures.relative_half_width(fit.parameters[name])) is not None]
-    reaches = f" 95 % interval reaches {percent_text(max(widths) / 100, 2)} to either side" if widths else ""
-    if len(free) == 1:
-        return f"{free[0]} is determined{reaches and f'; its{reaches}'}."
-    return f"All {len(free)} fitted parameters are determined{reaches and f'; the widest{reaches}'}."
+def error_text(output: str, m: result_parts.Misfit) -> str:
+    """``the error in x, 14.7 µm, is at least 35.3 times the noise, at most 0.415 µm``: the ratio and the two numbers that it comes from."""
+    outliers = " without outliers" * m.without_outliers
+    size = m.rmse if m.error is None else m.error
+    error = quantity_text(size, m.unit, beside=m.noise or 0.0)
+    noise = noise_text(m, beside=size)
+    of = (
+        ""
+        if not noise
+        else f", {noise}"
+        if m.direction in (BoundDirection.AT_MOST, BoundDirection.AT_LEAST)
+        else f" of {noise}"
+    )
+    return f"the error in {output}{outliers}, {error}, is {ratio_text(m)} times the noise{of}"
 
 
-def _validated(fit: Fit) -> str:
-    if not fit.validation:
-        return "The fit was not validated. Give a second record to validate the parameters."
+def _judged(fit: Fit) -> str:
+    """What records say that were not fitted."""
+    worst = _worst(fit.validation.misfit)
+    if worst is None:
+        return ""
     records = count_noun(len(fit.validation.traces), "validation record")
-    return f"On {records} the residual is {_over_noise(fit.validation.misfit, fit.validation_at_least)}."
+    judges = "" if judges_validation(fit) else ", which judges nothing"
+    output, m = worst
+    free = " in a free run" if fit.prediction.process_noise else ""
+    return f"; on {records}{judges}, {ratio_text(m)} times in {output}{free}"
+
+
+def judges_validation(fit: Fit) -> bool:
+    """Whether the validation judges the model: neither with the mean of constants that each record has for itself, nor a prediction."""
+    return bool(fit.validation) and not (fit.constraints.per_experiment or fit.prediction.process_noise)
+
+
+def explains_records(fit: Fit) -> bool:
+    """Whether no output is above its noise, on the fitted records and on those that judge."""
+    judged = fit.validation.misfit if judges_validation(fit) else {}
+    worst = [_worst(misfit) for misfit in (judged_misfit(fit), judged)]
+    return all(w is None or w[1].noise_ratio <= GOOD_MISFIT for w in worst)
+
+
+def fit_tone(fit: Fit) -> doc.Tone:
+    """Green where the model explains its records and those that judge it, and every constant is determined."""
+    if not fit.success:
+        return doc.Tone.BAD
+    if not explains_records(fit) or _worst(judged_misfit(fit)) is None or _undetermined(fit) or _open_outputs(fit):
+        return doc.Tone.CAUTION
+    return doc.Tone.GOOD if judges_validation(fit) else doc.Tone.PLAIN
+
+
+def fit_notes(fit: Fit) -> list[doc.Text]:
+    """What to know before trusting a fit that its answer does not say, the worst first."""
+    known = {*ANSWERED, *UNDETERMINED}
+    if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
+        known.add(EstimationCode.RESIDUAL_CORRELATED)  # said below the parameters
+    findings = [f for f in tables.worst_first(fit.findings) if f.code not in known]
+    notes: list[doc.Text] = [f for f in findings if f.severity is not Severity.NOTE]
+    if undetermined := _undetermined(fit):
+        notes.insert(0, f"not determined, the 95 % interval exceeds half the value: {join_names(undetermined)}")
+    notes += [f for f in fit.findings if f.code == EstimationCode.DIRECTION_UNDETERMINED]
+    if fit.success and fit.uncertainty.free and not fit.validation:
+        notes.append("not validated: give a second record")
+    return [*notes, *(f for f in findings if f.severity is Severity.NOTE)]
+
+
+def _undetermined(fit: Fit) -> list[str]:
+    return [name for name in fit.uncertainty.free if name in fit.parameters and not fit.parameters[name].determined]
+
+
+def _worst(misfit: Mapping[str, result_parts.Misfit]) -> tuple[str, result_parts.Misfit] | None:
+    """The output with the largest misfit over noise; None where no noise is known."""
+    known = [(name, m) for name, m in misfit.items() if math.isfinite(m.noise_ratio)]
+    return max(known, key=lambda item: item[1].noise_ratio, default=None)
+
+
+def _open_outputs(fit: Fit) -> list[str]:
+    """Outputs above the level that they are weighed with and below the ceiling of their noise: that may be noise, and may be none."""
+    bounded = [n for n, m in fit.misfit.items() if m.direction is BoundDirection.AT_MOST]
+    return [n for n in bounded if (fit.misfit[n].error or 0.0) > GOOD_MISFIT * fit.noise.std[n]]
 
 
 @dataclass(frozen=True)
@@ -223,9 +258,7 @@ def _parameters(fit: Fit, further: Iterable[tuple[str, doc.Block]]) -> Iterator[
     for title, block in further:
         yield doc.Subheading(f"{title[0].upper()}{title[1:]}")
         yield block
-    # What would determine them says which they are; where nothing is known that would, it is said here that they are open.
-    recommendations = recommend_after_fit(fit) or [f for f in fit.findings if f.code in UNDETERMINED]
-    if recommendations:
+    if recommendations := recommend_after_fit(fit):
         yield doc.Subheading("How to determine the other parameters")
         yield doc.BulletList(list(dict.fromkeys(sentences(recommendations))))
     several = [d for f in fit.findings if len(d := f.values.get("directions", ())) > 1]
@@ -265,6 +298,22 @@ def _priors(fit: Fit) -> Iterator[doc.TableBlock]:
         yield doc.TableBlock("Priors", heads, rows)
 
 
+def _starts(fit: Fit) -> Iterator[doc.Block]:
+    """Where each start ended, best first: the waterfall, and its numbers."""
+    yield doc.FigureBlock(figures.plot_starts(fit.starts))
+    names = list(fit.starts[0].start)
+    rows = [
+        [str(k + 1), plain_number(s.noise_ratio), s.status.replace("_", " "), *(_from_to(s, name) for name in names)]
+        for k, s in enumerate(fit.starts)
+    ]
+    yield doc.TableBlock("Start and end of each search", ["start", "misfit / noise", "ended", *names], rows)
+
+
+def _from_to(start: result_parts.StartResult, name: str) -> str:
+    end = start.values.get(name)
+    return f"{start.start[name]:.3g}" + ("" if end is None else f" -> {end:.3g}")
+
+
 def _interval_kind(fit: Fit) -> str:
     sandwich = fit.uncertainty.kind == "sandwich"
     if fit.prediction.process_noise and not sandwich:
@@ -291,23 +340,51 @@ def _misfits(fit: Fit) -> Iterator[doc.TableBlock]:
 
     The states of segments that meet, in which an unstable model is run, and those of arcs are fitted to the record: that is no free run.
     """
-    estimation, noise, how = "on the estimation records", fit.noise, fit.solver.statistics
+    estimation, how = "on the estimation records", fit.solver.statistics
     in_arcs = how.get("transcription") == Transcription.ARCS
     in_segments = not (how.get("free_run", True) or in_arcs or fit.prediction.process_noise)
     run = "run in segments" if in_segments else "run in arcs" if in_arcs else "free run"
-    yield tables.misfit_table(f"{run.capitalize()} {estimation}", fit.misfit, noise, f"misfit ({run})")
+    yield tables.misfit_table(f"{run.capitalize()} {estimation}", fit.misfit, f"misfit ({run})")
     if ahead := fit.prediction.one_step:
-        yield tables.misfit_table(
-            f"Prediction one sample ahead {estimation}", ahead, noise, "prediction (1 step ahead)"
-        )
+        yield tables.misfit_table(f"Prediction one sample ahead {estimation}", ahead, "prediction (1 step ahead)")
     if fit.validation:
         run = "run in segments" if in_segments else "free run"  # arcs are of the estimation alone
         corner = f"on validation records ({run})"
-        yield tables.misfit_table(f"{run.capitalize()} on the validation records", fit.validation.misfit, noise, corner)
+        yield tables.misfit_table(f"{run.capitalize()} on the validation records", fit.validation.misfit, corner)
+
+
+def _first_states(fit: Fit) -> Iterator[doc.TableBlock]:
+    """Where each run began."""
+    states = {s.name: format_unit(s.unit) for s in fit.model.all_states}
+    traces = [*fit.traces, *fit.validation.traces][:RECORDS_OF_FIT]
+    names = [n for n in states if all(n in t.initial_state for t in traces)]
+    rows = [[t.name, *(with_unit(format_number(t.initial_state[n], 4), states[n]) for n in names)] for t in traces]
+    if rows and names:
+        yield doc.TableBlock("First state of each run", ["record", *names], rows)
+
+
+def _run_at_start(fit: Fit) -> Iterator[doc.Details]:
+    """The run at the start values beside that of the fit, over the first record; none where it overflows."""
+    begun = fit.provenance.start
+    if fit.starts or not (begun and fit.traces and fit.model.has_equations):
+        return
+    trace = fit.traces[0]
+    try:
+        run = simulate(fit.model.start(**begun), trace.experiment, initial=trace.initial_state)
+    except GreyboxError:  # a model that cannot be run from there
+        return
+    if run.overflow is None and len(run.time) == len(trace.time):
+        before = replace(trace, simulated={name: run.outputs[name] for name in trace.measured})
+        figure = plot_runs_before_after(
+            before, trace, tables.signal_units(fit.model), "at-start", ("at the start", "fitted")
+        )
+        yield doc.Details("The run at the start values beside that of the fit", [doc.FigureBlock(figure)])
 
 
 def _misfit(fit: Fit, skip: int) -> Iterator[doc.Block]:
     yield from _misfits(fit)
+    yield from _first_states(fit)
+    yield from _run_at_start(fit)
     runs = [RecordRun(t, False) for t in fit.traces] + [RecordRun(t, True, skip) for t in fit.validation.traces]
     if len(runs) > 2:
         yield _by_record(fit, runs)
@@ -351,7 +428,7 @@ def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> doc.TableBlock:
             run.trace.name,
             "validation" if run.validation else "fitted",
             output,
-            *tables.misfit_cells(m, fit.noise.bound(output)),
+            *tables.misfit_cells(m),
         ]
         for run in runs
         for output, m in errors.compute_record_misfits(fit, run.trace, run.skip).items()
@@ -360,9 +437,6 @@ def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> doc.TableBlock:
 
 
 def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[doc.Block]:
-    findings = findings_below(fit)
-    if findings:
-        yield doc.BulletList(findings)
     if not fit.success:
         yield doc.Paragraphs(["The fit did not succeed, so its residual was not tested."], doc.Tone.CAUTION)
         return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from greybox.estimation.linear.exported_model import format_signals
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
 from greybox.estimation.linear.transfer_channel import describe_behaviour
-from greybox.show.documents.tables import provenance_section
+from greybox.show.documents.tables import provenance_section, worst_first
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.linear import plot_bode, plot_poles
 from greybox.show.sentences.linear import channel_lines, poles_table
@@ -33,45 +34,37 @@ def describe_linearisation(
     command
         What was typed, for repeating it.
     """
-    return doc.Document(
-        f"{linear.name} as a linear model",
-        doc.Later(_brief, linear),
-        linear_question(linear),
-        linear_verdict(linear),
-        doc.Later(lambda: [*linear_sections(linear, family), provenance_section(command)]),
-        "export",
+    return replace(
+        linear_summary(linear),
+        evidence=doc.Later(linear_evidence, linear, family),
+        sections=doc.Later(lambda: [*linear_sections(linear, family), provenance_section(command)]),
     )
 
 
-def _brief(linear: Linearisation) -> Iterator[doc.Block]:
-    """Operating point, matrices to the last digit, poles with natural frequency and damping, channels, findings."""
+def linear_summary(linear: Linearisation) -> doc.Document:
+    """Whether it is stable, its poles, where it holds, and on request the matrices to the last digit and each channel."""
+    size = np.abs(linear.poles) if linear.dt else linear.poles.real + 1
+    stability = "stable" if (size < 1).all() else "marginally stable" if (size <= 1).all() else "unstable"
     timing = f"sampled every {linear.dt:g} s ({linear.method})" if linear.dt else "continuous"
-    yield doc.Paragraphs([f"{linear.name}: linear model, {timing}"])
-    yield doc.Paragraphs(_point_lines(linear))
-    yield doc.Paragraphs(_matrix_lines(linear))
-    yield from describe_behaviour(linear).describe().brief
-    yield doc.Facts([("note", finding) for finding in linear.findings])
+    answer = f"{linear.name} as a linear model, {timing}, with {count_noun(len(linear.A), 'state')}: it is {stability}."
+    cautious = bool(linear.findings) or stability != "stable"
+    behaviour = describe_behaviour(linear).describe().details
+    return doc.Document(
+        f"{linear.name} as a linear model",
+        answer,
+        doc.Tone.CAUTION if cautious else doc.Tone.GOOD,
+        behaviour[:1],
+        [*worst_first(linear.findings), f"it holds for small deviations from {join_names(_point(linear))}"],
+        [doc.Paragraphs(_point_lines(linear)), doc.CodeBlock("\n".join(_matrix_lines(linear))), *behaviour[1:]],
+        linear_question(linear),
+        kind="export",
+    )
 
 
 def linear_question(linear: Linearisation) -> str:
     """What a linear model is for."""
     inputs, outputs = (join_names(names) or "the states" for names in (linear.input_names, linear.output_names))
     return f"How do small deviations of {inputs} change {outputs}? This model is for controller design."
-
-
-def linear_verdict(linear: Linearisation) -> doc.Paragraphs:
-    """Whether it is stable, where it holds, and what to know before using it."""
-    size = np.abs(linear.poles) if linear.dt else linear.poles.real + 1
-    stability = "stable" if (size < 1).all() else "marginally stable" if (size <= 1).all() else "unstable"
-    states = count_noun(len(linear.A), "state")
-    items = [
-        f"A linear model with {states}, sampled every {linear.dt:g} s ({linear.method}); it is {stability}."
-        if linear.dt
-        else f"A continuous linear model with {states}; it is {stability}.",
-        f"It holds for small deviations from {join_names(_point(linear))}.",
-    ]
-    cautious = bool(linear.findings) or stability != "stable"
-    return doc.Paragraphs([*items, *linear.findings], doc.Tone.CAUTION if cautious else doc.Tone.GOOD)
 
 
 def _point(linear: Linearisation) -> list[str]:
@@ -81,6 +74,12 @@ def _point(linear: Linearisation) -> list[str]:
         f"{name} = {value:.4g} {typeset_unit(unit) if unit else ''}".rstrip()
         for name, value, unit in zip(names, values, units, strict=True)
     ]
+
+
+def linear_evidence(linear: Linearisation | None, family: ModelFamily | None) -> Iterator[doc.FigureBlock]:
+    """The gain over frequency, with the family's band; nothing of a nonlinear model."""
+    if linear is not None:
+        yield from (doc.FigureBlock(figure, group="bode", switch="bode") for figure in plot_bode(linear, family)[:1])
 
 
 def linear_sections(linear: Linearisation, family: ModelFamily | None) -> list[doc.Section]:
@@ -94,7 +93,7 @@ def linear_sections(linear: Linearisation, family: ModelFamily | None) -> list[d
 
 def _behaviour(linear: Linearisation, family: ModelFamily | None) -> Iterator[doc.Block]:
     yield poles_table(linear.poles, linear.dt)
-    yield from (doc.FigureBlock(figure, group="bode", switch="bode") for figure in plot_bode(linear, family))
+    yield from (doc.FigureBlock(figure, group="bode", switch="bode") for figure in plot_bode(linear, family)[1:])
     poles = plot_poles(linear, family)
     if poles is not None:
         yield doc.FigureBlock(poles)

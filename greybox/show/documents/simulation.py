@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from greybox.base import ModelError, format_unit
-from greybox.base.document import Document, FigureBlock, Paragraphs, Section, TableBlock, Tone
+from greybox.base.document import Document, FigureBlock, Section, TableBlock, Tone
 from greybox.base.figure import Role
 from greybox.model import Model
 from greybox.show.documents import tables
@@ -38,18 +38,27 @@ def describe_simulation(run: Simulation, *, model: Model | None = None, command:
     """
     if model is None:
         raise ModelError("report of a simulation: no model; give model=")
-    verdict = _verdict(run, noise)
+    if run.overflow is not None:
+        answer, tone = f"The run overflows {run.overflow:.4g} s after its start and ends there.", Tone.BAD
+    else:
+        duration, rows = run.time[-1] - run.time[0], count_noun(len(run.time), "row")
+        period = tables.format_sampling_time(run.time)
+        answer = f"{model.title} was simulated: a free run over {rows}, {duration:.4g} s, sampled every {period}."
+        tone = Tone.GOOD
+    noises = [f"the written outputs contain added white noise: {noise}"] if noise else []
     return Document(
         f"Simulation of {model.title}",
-        [verdict],
-        f"How does {model.title} respond to {join_names(list(run.inputs)) or 'no input'}?",
-        verdict,
-        [
-            Section("run", "The run", [*run_figures(run, model), _ranges(run, model)]),
+        answer,
+        tone,
+        [ranges_table(run, model)],
+        [*noises, f"integrated by {run.discretisation}"],
+        question=f"How does {model.title} respond to {join_names(list(run.inputs)) or 'no input'}?",
+        sections=[
+            Section("run", "The run", [*run_figures(run, model), ranges_table(run, model)]),
             Section("model", "The model", [_parameters(model), tables.typeset_equations(model)]),
             tables.provenance_section(command),
         ],
-        "simulation",
+        kind="simulation",
     )
 
 
@@ -72,19 +81,8 @@ def run_figures(
             yield FigureBlock(figure, stretches, group="run")
 
 
-def _verdict(run: Simulation, noise: str) -> Paragraphs:
-    if run.overflow is not None:
-        return Paragraphs([f"The run overflows {run.overflow:.4g} s after its start and ends there."], Tone.BAD)
-    free_run = (
-        f"Free run over {count_noun(len(run.time), 'row')}, {run.time[-1] - run.time[0]:.4g} s, sampled every"
-        f" {tables.format_sampling_time(run.time)}; integrated by {run.discretisation}."
-    )
-    return Paragraphs(
-        [free_run, *([f"The written outputs contain added white noise: {noise}."] if noise else [])], Tone.GOOD
-    )
-
-
-def _ranges(run: Simulation, model: Model) -> TableBlock:
+def ranges_table(run: Simulation, model: Model) -> TableBlock:
+    """From where to where each signal moves."""
     units, rows = tables.signal_units(model), []
     for kind, group in (("input", run.inputs), ("output", run.outputs), ("state", run.states)):
         for name, values in group.items():

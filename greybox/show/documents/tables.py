@@ -4,34 +4,48 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
+from greybox.base import Finding, Severity, format_unit, read_versions
 from greybox.base import document as doc
-from greybox.base import format_unit, read_versions
 from greybox.estimation import Fit, FitOptions, Trace
 from greybox.model import Balance, Model, equations_text
 from greybox.model.algebraic import stores_nothing
 from greybox.model.expressions.operations import Binding
 from greybox.model.expressions.text import LATEX, expression_latex, symbol_latex
 from greybox.show.figures.figure import scale_to_prefix, value_range
-from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, make_formatter
+from greybox.show.sentences.wording import (
+    count_noun,
+    format_number,
+    format_with_std,
+    join_names,
+    make_formatter,
+    noise_text,
+    quantity_text,
+    ratio_text,
+)
 from greybox.simulation.simulate import Simulation
 
 if TYPE_CHECKING:
-    from greybox.data.noise.noise_model import NoiseBound
-    from greybox.estimation.result_parts import Estimate, FitNoise, Misfit
+    from greybox.estimation.result_parts import Estimate, Misfit
 
-MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
+SEVERITIES = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
+MISFIT_HEADS = ("rmse", "best fit", "noise", "rmse / noise")
 
 
-def parameters_table(fit: Fit, note: doc.Text = "") -> doc.TableBlock:
-    """The parameters of a fit: each one, its values in experiments that have their own, then those that are tied."""
+def parameters_table(fit: Fit, note: doc.Text = "", *, fitted: bool = False) -> doc.TableBlock:
+    """The parameters of a fit: each one, its values in experiments that have their own, then those that are tied.
+
+    ``fitted``: without those that were known before.
+    """
     rows = []
     for name, e in fit.parameters.items():
+        if fitted and e.fixed and fit.uncertainty.free:
+            continue
         rows.append(estimate_cells(name, e))
         if name in fit.constraints.per_experiment:
             rows[-1][-1] = "mean"
@@ -40,8 +54,17 @@ def parameters_table(fit: Fit, note: doc.Text = "") -> doc.TableBlock:
     for name, e in fit.constraints.tied.items():
         rows.append(estimate_cells(name, e))
         rows[-1][-1] = f"= {fit.constraints.ties[name]}"
-    caption = "Parameters with standard deviations and 95 % intervals"
-    return doc.TableBlock(caption, ["parameter", "value", "95 % interval", "unit", doc.REMARK], rows, note)
+    caption, heads = (
+        "Parameters with standard deviations and 95 % intervals",
+        ["value", "95 % interval", "unit", doc.REMARK],
+    )
+    # Of several starts each has its own: they stand in a table of theirs.
+    if fitted or fit.starts or not fit.provenance.start:
+        return doc.TableBlock(caption, ["parameter", *heads], rows, note)
+    begun = fit.provenance.start
+    starts = [format_number(begun[row[0]], 4) if row[0] in begun else "" for row in rows]
+    rows = [[row[0], start, *row[1:]] for row, start in zip(rows, starts, strict=True)]
+    return doc.TableBlock(caption, ["parameter", "start", *heads], rows, note)
 
 
 def estimate_cells(name: str, e: Estimate) -> list[str]:
@@ -51,28 +74,30 @@ def estimate_cells(name: str, e: Estimate) -> list[str]:
     remark = "at its bound" if e.at_bound else ""
     if e.std is None or e.interval is None:
         limits = "" if e.interval is None else f"[{format_number(e.interval[0], 3)}, {format_number(e.interval[1], 3)}]"
-        return [name, format_number(e.value), limits, format_unit(e.unit), remark or "not determined by these data"]
+        return [name, format_number(e.value), limits, format_unit(e.unit), remark or "not determined"]
     if not remark and not e.determined:
-        remark = "not determined: interval over 50 %"
+        remark = "not determined"
     low, high = map(make_formatter(e.value, e.std), e.interval)
     return [name, format_with_std(e.value, e.std), f"[{low}, {high}]", format_unit(e.unit), remark]
 
 
-def misfit_table(
-    caption: doc.Text, misfit: Mapping[str, Misfit], noise: FitNoise | None = None, corner: str = ""
-) -> doc.TableBlock:
-    """Misfits by output; over a noise that is only bounded they are at least so large."""
-    rows = [[name, *misfit_cells(m, None if noise is None else noise.bound(name))] for name, m in misfit.items()]
+def misfit_table(caption: doc.Text, misfit: Mapping[str, Misfit], corner: str = "") -> doc.TableBlock:
+    """Misfits by output."""
+    rows = [[name, *misfit_cells(m)] for name, m in misfit.items()]
     return doc.TableBlock(caption, ["output", *MISFIT_HEADS], rows, corner=corner)
 
 
-def misfit_cells(m: Misfit, bound: NoiseBound | None = None) -> list[str]:
-    """rmse, best fit and rmse over noise; over noise that is only bounded it is at least that."""
-    least = None if bound is None else bound.least_ratio(m.rmse)
-    ratio = (
-        f"{format_number(m.noise_ratio, 4)} x noise" if least is None else f"at least {format_number(least, 4)} x noise"
-    )
-    return [f"{format_number(m.rmse, 4)} {format_unit(m.unit)}".rstrip(), f"{m.best_fit_percent:.2f} %", ratio]
+def misfit_cells(m: Misfit) -> list[str]:
+    """rmse, best fit, the noise, and error over noise."""
+    error = quantity_text(m.rmse, format_unit(m.unit), 4)
+    if m.without_outliers and m.error is not None:
+        error = f"{error} ({quantity_text(m.error, format_unit(m.unit), 4)} without outliers)"
+    return [error, f"{m.best_fit_percent:.2f} %", noise_text(m), f"{ratio_text(m)} x noise"]
+
+
+def worst_first(findings: Iterable[Finding]) -> list[Finding]:
+    """Errors, then warnings, then notes, each in their order."""
+    return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
 
 
 def named_values(title: str, values: Mapping[str, Any]) -> doc.Facts:

@@ -15,6 +15,7 @@ from greybox.base import figure as fig
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation import Estimate, Fit
 from greybox.estimation.residuals import ResidualSeries, ResidualTest, ResidualTestKind, ResidualTests, measure_mean
+from greybox.estimation.result_parts import StartResult
 from greybox.show.figures.figure import choose_evenly, draw_over_time
 from greybox.show.sentences.estimation import name_test
 from greybox.show.sentences.wording import percent_text
@@ -258,6 +259,23 @@ def relative_half_width(e: Estimate) -> float | None:
     if e.interval is None or not e.value or not all(map(math.isfinite, e.interval)):
         return None
     return 100 * (e.interval[1] - e.interval[0]) / 2 / abs(e.value) or None
+
+
+def plot_starts(starts: Sequence[StartResult]) -> fig.Figure:
+    """The waterfall: misfit over noise at the end of each start, best first."""
+    known = [s.noise_ratio for s in starts if math.isfinite(s.noise_ratio)]
+    y = fig.Axis(
+        "misfit / noise", scale=fig.Scale.LOG if known and max(known) > 10 * min(known) > 0 else fig.Scale.LINEAR
+    )
+    marks = fig.Points(np.arange(1, len(known) + 1), np.array(known), fig.Role.RESIDUAL, joined=True)
+    panel = fig.Panel("starts", (marks,), fig.Axis("start, best first"), y)
+    text = f"{len(known)} of {len(starts)} starts ended with a run; the best misfit over noise is {min(known, default=math.nan):.3g}"
+    return fig.Figure(
+        "starts",
+        (panel,),
+        "Misfit over noise where each start ended: a level that several reach is no chance.",
+        (text,),
+    )
 
 
 # Parameters correlated more than this are called out: the records tell their ratio or product better than each.

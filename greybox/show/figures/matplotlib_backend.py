@@ -37,8 +37,8 @@ LINE_WIDTH, MARK_SIZE = 0.7, 0.6
 NUMBER_SIZE = 8.0
 # Points of the names of axes and of what stands above a panel, and of what stands above the picture.
 NAME_SIZE, HEADING_SIZE = 9.0, 11.0
-# Characters of a title above one panel, from which it is broken.
-TITLE_WIDTH = 85
+# Width of a letter over its size, on average, and inches beside a panel for the numbers and the name of its axis: a title is broken there.
+LETTER_WIDTH, BESIDE_PANEL = 0.53, 0.8
 # The grid: its opacity, and points of its lines.
 GRID_OPACITY, GRID_WIDTH = 0.25, 0.5
 # Share of the width that stays free beside a curve over time.
@@ -75,14 +75,15 @@ def _as_lines(text: str) -> str:
 def _draw_cells(sheet: Sheet) -> Picture:
     picture = Picture(figsize=sheet.size, dpi=DOTS_PER_INCH, layout="constrained")
     FigureCanvasAgg(picture)
-    picture.suptitle(sheet.heading, fontsize=HEADING_SIZE)
+    picture.suptitle(fill(sheet.heading, _letters(sheet.size[0], HEADING_SIZE)), fontsize=HEADING_SIZE)
     grid = picture.add_gridspec(
         len(sheet.heights), len(sheet.widths), height_ratios=sheet.heights, width_ratios=sheet.widths
     )
     entries: dict[str, Artist] = {}
     for cell in sheet.cells:
         axes = picture.add_subplot(grid[cell.row : cell.row + cell.rows, cell.column])
-        _draw_panel(axes, cell)
+        share = sheet.widths[cell.column] / sum(sheet.widths)
+        _draw_panel(axes, cell, _letters(sheet.size[0] * share, NAME_SIZE))
         handles, labels = axes.get_legend_handles_labels()
         drawn = dict(zip(labels, handles, strict=True))
         entries |= {label: drawn[label] for label in cell.panel.labels if label in drawn and label not in entries}
@@ -99,7 +100,12 @@ def _draw_cells(sheet: Sheet) -> Picture:
     return picture
 
 
-def _draw_panel(axes: Axes, cell: Cell) -> None:
+def _letters(width: float, size: float) -> int:
+    """Letters of so many points that find room above a panel of so many inches, with its axis."""
+    return max(int((width - BESIDE_PANEL) * 72 / (LETTER_WIDTH * size)), 10)
+
+
+def _draw_panel(axes: Axes, cell: Cell, letters: int) -> None:
     panel = cell.panel if cell.window is None else cell.panel.between(*cell.window)
     axes.set_xscale("log" if panel.x.scale is fig.Scale.LOG else "linear")
     axes.set_yscale("log" if panel.y.scale is fig.Scale.LOG else "linear")
@@ -118,7 +124,7 @@ def _draw_panel(axes: Axes, cell: Cell) -> None:
         axes.tick_params(labelbottom=False)
     titles = cell.titles or panel.titles
     if titles:
-        text = "\n".join(fill(title, TITLE_WIDTH) for title in titles)
+        text = "\n".join(fill(title, letters) for title in titles)
         colour = _colour(fig.Role.SIMULATED if panel.alarm else fig.Role.REFERENCE)
         axes.set_title(text, loc="left", fontsize=NAME_SIZE, color=colour)
 

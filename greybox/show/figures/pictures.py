@@ -22,7 +22,7 @@ from greybox.show.figures.figure import draw_sizes
 from greybox.show.figures.fit import plot_residual_tests
 from greybox.show.figures.sheet import Cell, Sheet
 from greybox.show.sentences.discovery import surrogate_title
-from greybox.show.sentences.wording import record_text
+from greybox.show.sentences.wording import ratio_text, record_text
 
 if TYPE_CHECKING:
     from greybox.discovery import Discovery, EffectSignal
@@ -165,7 +165,8 @@ def _fit_sheet(fit: Fit, trace: Trace, kind: str, skip: int) -> Sheet:
 
 
 def _misfit_title(output: str, m: Misfit) -> str:
-    misfit = f"misfit {m.noise_ratio:.3g} × noise, " if np.isfinite(m.noise_ratio) else ""
+    outliers = ", outliers excluded" * m.without_outliers
+    misfit = f"misfit {ratio_text(m)} × noise{outliers}, " if np.isfinite(m.noise_ratio) else ""
     return f"{output}: {misfit}best fit {m.best_fit_percent:.2f} %"
 
 

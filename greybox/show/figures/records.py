@@ -144,7 +144,9 @@ def plot_residual(trace: Trace, units: Mapping[str, str], noise: Mapping[str, fl
             text += f", {inside:.0f} % of it within two standard deviations of the noise, {value_with_unit(band, unit)}"
         description.append(text)
     caption = f"Residual (measured minus simulated) of {record_text(trace.name)}" + (
-        "; the band is two standard deviations of the noise." if any(map(known_noise, noise.values())) else "."
+        "; a band is two standard deviations of a noise that is known."
+        if any(map(known_noise, noise.values()))
+        else "."
     )
     return fig.Figure(name, tuple(panels), caption, tuple(description))
 
@@ -250,7 +252,7 @@ def plot_runs_before_after(
     return fig.Figure(
         name,
         tuple(panels),
-        f"{capitalise(record_text(before.name))}: measured outputs and the free runs of both models.",
+        f"{capitalise(record_text(before.name))}: measured outputs and both runs.",
     )
 
 

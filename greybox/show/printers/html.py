@@ -10,6 +10,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
+import math
 import re
 from base64 import b64encode
 from collections.abc import Sequence
@@ -92,7 +93,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"mathml": mathml, "data": embedded, "kind": lambda block: type(block).__name__.lower()}
-    environment.filters |= {"height": height_on_page, "say": say, "label": label, "cell": cell}
+    environment.filters |= {"notes": split_notes, "height": height_on_page, "say": say, "label": label, "cell": cell}
     return environment
 
 
@@ -138,6 +139,21 @@ def embedded(block: FigureBlock) -> Markup:
     """What the page's script needs of a figure, as JSON that cannot end the script element it stands in."""
     text = json.dumps(figure_content(block), allow_nan=False, separators=(",", ":"), ensure_ascii=True)
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
+
+
+# Lines of the box at the head of a page, and letters of one of them over its full width.
+BOX_LINES, BOX_LETTERS = 5, 105
+
+
+def split_notes(page: Document) -> tuple[list[str], list[str]]:
+    """The notes of a page: those that find room in its box below the answer, and those that a fold keeps."""
+    texts = list(dict.fromkeys(map(say, page.notes)))
+    left = BOX_LINES - math.ceil(len(say(page.answer)) / BOX_LETTERS)
+    for k, text in enumerate(texts):
+        left -= math.ceil(len(text) / BOX_LETTERS)
+        if left < 0:
+            return texts[:k], texts[k:]
+    return texts, []
 
 
 def say(texts: Text | Sequence[Text]) -> str:

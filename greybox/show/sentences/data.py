@@ -13,7 +13,7 @@ from greybox.base.texts import to_word
 from greybox.data.findings import RecordCode
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.show.sentences.registry import register, renders, sentences
-from greybox.show.sentences.wording import count_noun, percent_text
+from greybox.show.sentences.wording import count_noun, join_names, percent_text
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
@@ -269,12 +269,26 @@ def write_survey(survey: FileSurvey) -> list[Block]:
     renamed = {name: header for name, header in survey.columns.items() if name not in (header, _bare(header))}
     columns = " ".join(f"--column {to_word(name)}={to_word(header)}" for name, header in renamed.items())
     return [
-        Paragraphs([f"{survey.file}: {survey.kind}, {count_noun(len(rows), 'signal')}"]),
+        Paragraphs([_survey_answer(survey)]),
         TableBlock("Signals", head, rows),
         Facts([(str(f.severity), f) for f in survey.findings]),
         *([Details(guess, [Paragraphs(lines)])] if lines else []),
         Facts([("columns for it", columns)] if columns else []),
     ]
+
+
+def _survey_answer(survey: FileSurvey) -> str:
+    """What the file holds, which signals may be inputs and outputs, and how much of it is doubtful."""
+    longest = max(survey.signals, key=lambda s: s.rows, default=None)
+    rows = "" if longest is None else f", {count_noun(longest.rows, 'row')}"
+    uses = []
+    for use in ("input", "output"):
+        if names := [s.name for s in survey.signals if s.use == use]:
+            uses.append(
+                f"{join_names(names[:5])} may be {use if len(names) > 1 else f'an {use}'}{'s' * (len(names) > 1)}"
+            )
+    doubts = count_noun(len(survey.findings), "thing") + " to know" if survey.findings else "nothing is doubtful"
+    return f"{survey.file}: {survey.kind}, {count_noun(len(survey.signals), 'signal')}{rows}; {'; '.join([*uses, doubts])}."
 
 
 def _bare(header: str) -> str:

@@ -31,7 +31,7 @@ from greybox.show.sentences.wording import (
 )
 
 if TYPE_CHECKING:
-    from greybox.discovery import Claim, Dependence, EffectTest, HoldoutError, Refinement, RefinementStep, Surrogate
+    from greybox.discovery import Dependence, EffectTest, HoldoutError, Refinement, RefinementStep, Surrogate
     from greybox.discovery.false_names import FalseNameRate
     from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
 
@@ -280,20 +280,6 @@ def impossible_text(not_tried: Mapping[str, Finding]) -> str:
 
 
 GRADES = {Grade.ESTABLISHED: "established", Grade.PROBABLE: "probable", Grade.STAND_IN: "a stand-in"}
-
-
-def name_text(claim: Claim) -> str:
-    """How certain an effect of the answer is, what it takes, and what would do the same or nearly so in its place."""
-    text = f"{GRADES[claim.grade]} ({probability_text(claim.probability)})"
-    if claim.share > 0:
-        text += f", takes {100 * claim.share:.0f} % of the error in {claim.output} that the model has without it"
-    else:
-        text += f", takes nothing of the error in {claim.output}"
-    if claim.equals:
-        text += f"; {join_names([effect_title(name) for name in claim.equals])} in its place would do the same"
-    elif claim.rival:
-        text += f"; its best rival is {rival_text(claim.rival)}"
-    return text
 
 
 def false_names_text(rate: FalseNameRate) -> str:

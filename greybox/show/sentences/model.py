@@ -8,7 +8,6 @@ from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from greybox.base import format_unit
-from greybox.base.document import Block, Details, TableBlock
 from greybox.model import equations_text
 from greybox.model.effects.placement import AT
 from greybox.model.effects.roles import ROLES
@@ -17,11 +16,10 @@ from greybox.model.expressions.text import number_text
 from greybox.model.parts import PARTS, Occurrence
 from greybox.model.sites import NEEDED
 from greybox.show.sentences.registry import renders
-from greybox.show.sentences.wording import count_noun
 
 if TYPE_CHECKING:
     from greybox.model import Effect, Model, Parameter
-    from greybox.model.effects import EffectListing, Placement, SignalRole
+    from greybox.model.effects import Placement, SignalRole
 
 
 @renders("Model")
@@ -113,30 +111,6 @@ chain](tutorial_pneumatic.md) and the cascaded tanks have them. What an effect n
 `two-mass` (two bodies on a shaft), `stage` (displacement and velocity), `cylinder` (pressure and valve), `thermal` (temperature
 and ambient temperature), `tanks` (levels), `circuit` (current, inductance).
 """
-
-
-@renders("EffectListing")
-def write_effects(listing: EffectListing) -> list[Block]:
-    """Name, place, equation and units of each effect, and why some have no place."""
-    if not listing.model:
-        rows = [[e.name, e.site, _write_units(e.parameters), e.equation] for e in listing.entries]
-        parts = [[p.name, p.meaning] for p in PARTS]
-        return [
-            TableBlock("Effects", ["effect", "acts at", "parameters", "equation"], rows),
-            TableBlock("Parts that a rig has or lacks", ["part", "what it is"], parts),
-        ]
-    taken = [p for p in listing.placements if p.effect is not None]
-    rows = [[p.name, p.site, _write_units(p.parameters), p.effect.equation if p.effect else ""] for p in taken]
-    title = f"{listing.model} takes {count_noun(len(taken), 'effect')}:"
-    refused = [[p.name, _shorten(p)] for p in listing.placements if p.effect is None]
-    return [
-        Details(title, [TableBlock("Effects", ["effect", "at", "parameters", "equation"], rows)]),
-        *(
-            [Details("no place for:", [TableBlock("Effects without a place", ["effect", "why not"], refused)])]
-            if refused
-            else []
-        ),
-    ]
 
 
 def write_catalogue_page(entries: Sequence[Effect]) -> str:
@@ -232,7 +206,8 @@ def _names(names: Sequence[str], word: str = " and ") -> str:
     return word.join(f"[{name}](#{name})" for name in names)
 
 
-def _write_units(parameters: Sequence[Parameter]) -> str:
+def write_units(parameters: Sequence[Parameter]) -> str:
+    """``Fc [N], vs [m/s]``."""
     return ", ".join(f"{q.name} [{_plain(q.unit)}]" for q in parameters)
 
 
@@ -240,7 +215,7 @@ def _plain(unit: str) -> str:
     return (unit if "{" in unit else format_unit(unit)) or "1"
 
 
-def _shorten(placement: Placement) -> str:
+def shorten_reason(placement: Placement) -> str:
     """The reason without the sentence that names effect and model again."""
     begin = f"effect {placement.name!r} acts at "
     reason = placement.reason.removeprefix(begin)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from greybox.base.document import Block, Paragraphs, TableBlock
 from greybox.base.texts import to_word
 from greybox.show.printers.text import table_lines
 from greybox.show.sentences.registry import register, renders
+from greybox.show.sentences.wording import count_noun
 
 if TYPE_CHECKING:
     from greybox.base import Finding
     from greybox.base.extensions import Extension
-    from greybox.shell.demonstration import Demo
     from greybox.shell.project import ModelListing
 
 
@@ -43,63 +45,40 @@ register(
 )
 
 
-def written(files: Sequence[Path]) -> str:
-    """The line with the files that a command has written."""
-    return f"written: {', '.join(map(str, files))}"
-
-
-def report_line(path: Path) -> str:
-    """The last line of a command that has written a report."""
-    return f"report: {path} (open it in a browser; it needs no network)"
-
-
 def study_line(path: Path, command: str) -> str:
-    """The line of a command that has written a study file."""
-    return f"written: {path}; run it with: greybox {command} {to_word(str(path))}"
+    """What a command says that has written a study file."""
+    return f"The study was written to {path}; nothing was run.\n\nnext: greybox {command} {to_word(str(path))}"
 
 
 # The list of models.
 
 
+# Letters of what a model is, in the list of all.
+MODEL_WIDTH = 30
+
+
 @renders("ModelListing")
-def model_listing(listing: ModelListing) -> str:
-    """Three lines a model: name and description, its signals, its file."""
-    lines = []
+def model_listing(listing: ModelListing) -> list[Block]:
+    """How many models there are; name and signals of each."""
+    rows = []
     for entry in listing.models:
         model = entry.model
-        states = ", ".join(s.name for s in model.all_states)
-        inputs = ", ".join(i.name for i in model.inputs) or "none"
-        outputs = ", ".join(y.name for y in model.outputs)
-        lines += [
-            f"{entry.name}: {model.description}" if model.description else entry.name,
-            f"    states {states}; inputs {inputs}; outputs {outputs}",
-            f"    {entry.where}",
-        ]
-    return "\n".join(lines)
-
-
-def demo_answer(demo: Demo, folder: Path) -> str:
-    """What `greybox demo` prints: the results, the files, and the commands that repeat it."""
-    return "\n".join(
-        [
-            "",
-            demo.fit.provenance.equations,
-            "",
-            str(demo),
-            "",
-            f"files in {folder} (computed in {demo.seconds:.1f} s):",
-            *(f"  {path.name:20s} {what}" for path, what in demo.files.items()),
-            "",
-            "to repeat the demonstration step by step:",
-            f"  greybox fit {demo.arguments}",
-            f"  greybox discover {demo.arguments}",
-            f"  greybox export {to_word(str(folder / 'fit.json'))} --to control",
-        ]
-    )
+        inputs, outputs = (", ".join(s.name for s in group) or "none" for group in (model.inputs, model.outputs))
+        rows.append(
+            [entry.name, f"{inputs} -> {outputs}", textwrap.shorten(model.description, MODEL_WIDTH, placeholder=" ...")]
+        )
+    table = TableBlock("Models", ["model", "signals", "what it is"], rows)
+    return [Paragraphs([f"{count_noun(len(rows), 'model')} can be named here."]), table]
 
 
 def extensions_text(entries: Sequence[Extension]) -> str:
-    """What `greybox extensions` prints: kind, name, place and origin of each entry; those that failed follow with their reason."""
-    rows = [[e.kind, e.name, e.place, f"{e.distribution} {e.version}".strip()] for e in entries if not e.failure]
+    """What `greybox extensions` prints: the names of each kind and their origin; those that failed with their reason."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for e in entries:
+        if not e.failure:
+            groups.setdefault((e.kind, f"{e.distribution} {e.version}".strip()), []).append(e.name)
     failed = [f"{e.kind} {e.name} of {e.distribution}: not loaded ({e.failure})" for e in entries if e.failure]
-    return "\n".join([*table_lines(["kind", "name", "place", "from"], rows), *failed])
+    packages = count_noun(len({e.distribution for e in entries}), "package")
+    answer = f"{count_noun(len(entries) - len(failed), 'extension')} of {packages} add to the core."
+    rows = [[kind, ", ".join(names), origin] for (kind, origin), names in groups.items()]
+    return "\n".join([answer, "", *failed, *table_lines(["kind", "names", "from"], rows)])

@@ -5,6 +5,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from greybox.estimation.result_parts import Misfit
 
 # Units that take a prefix as they are; others (m/s**2, rad, bar) are left alone.
 PREFIXED = {"m", "m/s", "s", "V", "V/s", "A", "N", "Pa", "W", "Hz", "H", "F", "T", "N*m", "J"}
@@ -115,20 +119,49 @@ def format_with_std(value: float, std: float) -> str:
     return f"{write(value)} +- {write(std)}"
 
 
+# A value keeps so many significant digits of its own where its standard deviation leaves fewer: 0.044 +- 2.2, and not 0.0.
+LEAST_DIGITS = 2
+
+
 def make_formatter(value: float, std: float) -> Callable[[float], str]:
     """How to write numbers beside ``value +- std``, such as the ends of its interval: to two digits of the uncertainty."""
     if not (std > 0 and math.isfinite(std)):
         return format_number
-    exponent = math.floor(math.log10(std))
-    digits = max(1 - exponent, 0)
-    if not (abs(value) >= 1e6 or 0 < abs(value) < 1e-3 or digits > 8):
-        return lambda v: f"{v:.{digits}f}"
+    last = math.floor(math.log10(std)) - 1
+
+    def places(v: float) -> int:
+        """Decimal places that hold the last digit of the uncertainty, and two digits of the number."""
+        second = math.floor(math.log10(abs(v))) - LEAST_DIGITS + 1 if v and math.isfinite(v) else last
+        return -min(last, second)
+
+    if not (abs(value) >= 1e6 or 0 < abs(value) < 1e-3 or -last > 8):
+        return lambda v: f"{v:.{max(places(v), 0)}f}" if places(v) <= 8 else f"{v:.{LEAST_DIGITS - 1}e}"
 
     def scientific(v: float) -> str:
         leading = math.floor(math.log10(max(abs(v), std))) if math.isfinite(v) else 0
-        return f"{v:.{min(max(leading - exponent + 1, 1), 9)}e}"
+        return f"{v:.{min(max(leading - last, LEAST_DIGITS - 1), 9)}e}"
 
     return scientific
+
+
+def plain_number(value: float, digits: int = 3) -> str:
+    """So many digits, whole numbers in full up to a million: ``1320``, ``0.754``."""
+    return f"{value:.0f}" if 10**digits <= abs(value) < 1e6 else f"{value:.{digits}g}"
+
+
+def ratio_text(misfit: Misfit) -> str:
+    """How many times its noise an error is: ``0.754``; ``at least 35.3`` where the noise has no more than a ceiling."""
+    bound = {"at_most": "at least ", "at_least": "at most "}.get(misfit.direction or "", "")
+    ratio = misfit.noise_ratio
+    return f"{bound}{plain_number(ratio) if ratio >= 1000 else f'{ratio:#.3g}'.rstrip('.')}"
+
+
+def noise_text(misfit: Misfit, beside: float = 0.0) -> str:
+    """The noise that an error is divided by: ``0.2 µm``; ``at most 0.416 µm``, in the unit that suits the value ``beside`` it as well."""
+    if misfit.noise is None or not math.isfinite(misfit.noise):
+        return ""
+    bound = {"at_most": "at most ", "at_least": "at least "}.get(misfit.direction or "", "")
+    return f"{bound}{quantity_text(misfit.noise, misfit.unit, beside=beside)}"
 
 
 def shorten(name: str, width: int) -> str:

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from scipy.signal import butter, lfilter
 
 import greybox as gb
-from greybox.base.document import BulletList, Document, FigureBlock, Paragraphs, Section, Subheading
+from greybox.base.document import BulletList, Document, FigureBlock, Section, Subheading
 from greybox.base.figure import Axis, Band, Curve, Figure, Panel, Role
 from greybox.base.findings import Finding
 from greybox.comparison.result import ComparisonFinding
@@ -28,6 +28,7 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.result_parts import FitNoise, Misfit, Trace
 from greybox.shell.commands import app
+from greybox.show import describe
 from greybox.show.describe import describe_page
 from greybox.show.documents.tables import misfit_table
 from greybox.show.figures.records import plot_residual
@@ -86,14 +87,13 @@ class Outline(HTMLParser):
 
 def test_the_verdict_of_a_good_fit_comes_first_and_in_plain_words(good: gb.Fit) -> None:
     page = describe_page(good, command="greybox fit micro_actuator bench.csv")
-    assert page.verdict.tone == "good"
-    explained, determined, validated = said(page)
+    assert page.tone == "plain"  # nothing has judged it
+    explained, validated = said(page)
     assert re.fullmatch(
-        r"The model explains the estimation records: the residual is [01]\.?\d* times the noise in x and [01]\.?\d* times the noise in i",
-        explained.rstrip("."),
+        r"micro_actuator explains its records: the error in [xi], [\d.]+ [mµ][mA], is [01]\.?\d* times the noise of [\d.]+ [mµ][mA]\.",
+        explained,
     )
-    assert re.match(r"All \d fitted parameters are determined; the widest 95 % interval reaches ", determined)
-    assert validated == "The fit was not validated. Give a second record to validate the parameters."
+    assert validated == "not validated: give a second record"
     html = render_page(page)
     for text in (
         "40 of x",
@@ -112,9 +112,9 @@ def test_a_fit_that_failed_says_so_and_tests_nothing() -> None:
     assert not failed.success
     page = describe_page(failed)
     assert page.verdict.tone == "bad"
-    failure, numbers = said(page)[:2]
-    assert failure.startswith("The fit did not succeed: ")
-    assert numbers == "The numbers below are those of the last point of the search. Use them only for diagnosis."
+    failure = said(page)[0]
+    assert failure.startswith("The fit of micro_actuator did not succeed: ")
+    assert failure.endswith("Use its numbers only for diagnosis: they are those of the last point of the search.")
     (residual,) = (s for s in page.sections if s.name == "residual")
     assert residual.blocks[-1].items == ["The fit did not succeed, so its residual was not tested."]
     findings = tuple(
@@ -133,12 +133,21 @@ def test_what_would_determine_the_open_constants_stands_beside_them(good: gb.Fit
     assert "Fix one of M, B, K, Kf" in render_page(describe_page(found))
 
 
-def test_the_figure_that_convinces_stands_beside_the_verdict(good: gb.Fit) -> None:
+def test_the_figure_that_convinces_stands_below_the_box(good: gb.Fit) -> None:
     comparison = gb.compare([good], bench(300))
     for result, name in ((good, "evidence"), (comparison, "errors")):
         html = render_page(describe_page(result))
-        verdict = html[html.index('<section id="verdict"') : html.index("</section>")]
-        assert f'<figure id="{name}"' in verdict and html.count(f'id="{name}" class="drawn"') == 1
+        box, _, rest = html[html.index('<section id="verdict"') :].partition("</section>")
+        assert "<figure" not in box and html.count(f'id="{name}" class="drawn"') == 1
+        assert rest.index(f'<figure id="{name}"') < rest.index("<section")
+
+
+def test_the_box_of_a_page_has_five_lines_and_a_fold_the_rest() -> None:
+    notes = [f"remark {k} " + "of some length " * 9 for k in range(9)]
+    html = render_page(Document("t", "An answer.", notes=notes, sections=[Section("data", "Data", [])]))
+    box, _, rest = html[html.index('<section id="verdict"') :].partition("</section>")
+    assert [f"emark {k} " in box for k in range(9)] == [True] * 2 + [False] * 7
+    assert "<summary>7 more notes</summary>" in rest and all(rest.count(f"emark {k} ") == 1 for k in range(2, 9))
 
 
 def test_a_page_has_no_bar_of_buttons_over_a_figure_and_one_meaning_of_plus_minus(good: gb.Fit) -> None:
@@ -158,8 +167,8 @@ def test_noise_that_is_only_bounded_is_no_band_and_no_yardstick() -> None:
     trace = Trace("run", "", np.arange(3.0), {n: np.ones(3) for n in "xi"}, {n: np.zeros(3) for n in "xi"}, {})
     residual = plot_residual(trace, {"x": "m", "i": "A"}, noise.levels, "residual")
     assert [[type(s) for s in p.series] for p in residual.panels] == [[Band, Curve], [Curve]]
-    table = misfit_table("misfit", {"i": Misfit(1e-2, "A", 90.0, 2.5, 3)}, noise)
-    assert table.rows[0][-1] == "at least 2.5 x noise"
+    table = misfit_table("misfit", {"i": Misfit(1e-2, "A", 90.0, 2.0, 3, 5e-3).over(noise, "i")})
+    assert table.rows[0] == ["i", "10 mA", "90.00 %", "at most 4 mA", "at least 2.50 x noise"]
 
 
 def test_a_page_says_once_that_a_model_does_not_explain_its_records() -> None:
@@ -177,7 +186,7 @@ def test_a_page_says_once_that_a_model_does_not_explain_its_records() -> None:
         if isinstance(i, Finding)
     ]
     shown += [item.code for item in page.verdict.items if isinstance(item, Finding)]
-    assert sum("does not explain the estimation records" in text for text in said(page)) == 1
+    assert sum("does not explain its records" in text for text in said(page)) == 1
     assert not {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.RESIDUAL_CORRELATED} & set(shown)
     assert len(shown) == len(set(shown))
     assert "which allows for the colour of the residual (up to" in render_page(page)
@@ -198,10 +207,11 @@ def test_what_may_be_noise_is_not_said_to_exceed_it() -> None:
     run = gb.simulate(tank.start(k=2.0, b=2.0), record).outputs["y"]
     noise = lfilter(*butter(4, 0.1), rng.normal(size=2000))[500:]
     fit = gb.fit(tank, record.with_outputs({"y": run + 0.01 * run.std() / noise.std() * noise}))
-    assert fit.misfit["y"].noise_ratio > 5 and fit.misfit_at_least["y"] < 1.1
+    m = fit.misfit["y"]
+    assert m.rmse > 5 * fit.noise.std["y"] and m.noise_ratio == fit.misfit_at_least["y"] < 1.1
     assert not {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE} & codes(fit.findings)
     first, *_ = said(describe_page(fit))
-    assert "do not show whether the model lacks an effect" in first and "at least 0.65 times the noise in y" in first
+    assert "may explain its records" in first and "at least 0.650 times the noise, at most" in first
 
 
 def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
@@ -212,7 +222,7 @@ def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
     found = check(micro_actuator.fix("M", "Ra"), record, noise={"x": 2e-7, "i": 5e-3})
     page = describe_page(found)
     assert page.verdict.tone == "caution"
-    assert said(page)[0].startswith("Record bench: ")
+    assert said(page)[1].startswith("Record bench: ")
     html = render_page(page)
     assert html.count("stays at exactly") == 1
     assert "Record bench: output &#39;x&#39; has 40 gaps" in html
@@ -281,7 +291,15 @@ def test_text_in_figures_ends_no_script_and_is_no_markup() -> None:
     panel = Panel(HOSTILE, (curve,), Axis(HOSTILE, HOSTILE), Axis(HOSTILE))
     figure = FigureBlock(Figure("a", (panel,), HOSTILE, (HOSTILE,)))
     html = render_page(
-        Document(HOSTILE, (), HOSTILE, Paragraphs([HOSTILE]), [Section("data", "Data", [figure])], HOSTILE)
+        Document(
+            HOSTILE,
+            HOSTILE,
+            notes=[HOSTILE],
+            question=HOSTILE,
+            evidence=[],
+            sections=[Section("data", "Data", [figure])],
+            kind=HOSTILE,
+        )
     )
     found = Outline(html)
     assert (found.tags["img"], found.tags["script"]) == (0, 3)
@@ -312,7 +330,7 @@ def test_numbers_travel_in_six_digits_and_gaps_as_gaps() -> None:
     given = np.array([0.1234567891, -1.987654321e-9, 12345678.9, 0.0, np.nan, np.inf])
     panel = Panel("x", (Curve(np.arange(6.0), given, Role.MEASURED),), Axis("time", "s"), Axis("x"))
     figure = FigureBlock(Figure("a", (panel,), "Phase over frequency."))
-    html = render_page(Document("t", (), "q", Paragraphs(["v"]), [Section("data", "Data", [figure])]))
+    html = render_page(Document("t", "v", question="q", sections=[Section("data", "Data", [figure])]))
     assert '"y":[0.123457,-1.98765e-09,12345700.0,0.0,null,null]' in html
 
 
@@ -344,7 +362,7 @@ def test_commands_leave_their_page_and_say_where(tmp_path: Path, monkeypatch: py
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(app, ["check", "micro_actuator", "--output", "out"])
     assert done.exit_code == 0, done.output
-    assert done.stdout.splitlines()[-1].startswith(f"report: {Path('out', 'report.html')}")
+    assert done.stdout.splitlines()[-1] == f"files: {Path('out', 'check.json')}, {Path('out', 'report.html')}"
     assert sorted(p.name for p in Path("out").iterdir()) == ["check.json", "report.html"]
     pace = ["--step", "1", "--duration", "0.1", "--sampling-time", "1e-3"]
     CliRunner().invoke(app, ["simulate", "micro_actuator", *pace, "--output", "run.csv"])
@@ -380,5 +398,6 @@ def test_a_run_whose_states_were_fitted_is_not_called_free(how, estimation, vali
     time = np.arange(50) * 0.1
     record = gb.Experiment("a", time, {"u": np.sin(time)}, {"y": np.sin(time - 0.3)})
     found = gb.fit(first_order(), record, validation=record, noise={"y": 0.01})
-    text = str(replace(found, solver=replace(found.solver, statistics={**found.solver.statistics, **how})))
+    how = replace(found.solver, statistics={**found.solver.statistics, **how})
+    text = describe.text(replace(found, solver=how), 200, details=True)
     assert estimation in text and validation in text

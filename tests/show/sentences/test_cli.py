@@ -6,14 +6,18 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from greybox.base.document import Document, Paragraphs
+from greybox.base.document import REMARK, Document, Paragraphs, TableBlock
 from greybox.base.findings import Finding
 from greybox.estimation.result_parts import Misfit
+from greybox.model import Input, Output
 from greybox.shell.answers import CodeAnswer, FitAnswer, LinearAnswer, RecordMisfit, SimulationAnswer
 from greybox.shell.terminal import CommandCode as Code
-from greybox.show.sentences.shell import report_line, study_line, written
+from greybox.show.describe import text
+from greybox.show.printers.text import block_lines, print_text, wrap_command
+from greybox.show.sentences.shell import study_line
 
 SENTENCES = {
     Code.SPLIT_WITHOUT_EFFECT: (
@@ -58,85 +62,108 @@ def test_one_record_is_written_in_the_singular() -> None:
 
 
 class Text(SimpleNamespace):
-    """A value that says its ``text``."""
+    """A value that says its ``text``: with an answer the first line, else a detail."""
 
     def __str__(self) -> str:
         return str(self.text)
 
     def describe(self) -> Document:
-        return Document(self.text, [Paragraphs([self.text])])
+        if hasattr(self, "answer"):
+            return Document("rig", self.answer, notes=["a note"], details=[Paragraphs(["a detail"])])
+        return Document(self.text, details=[Paragraphs([self.text])])
 
 
 def answer(**more: Any) -> FitAnswer:
-    noise = SimpleNamespace(bound=lambda _: None)
-    fit = Text(
-        text="the fit",
-        provenance=SimpleNamespace(equations="dx/dt = v"),
-        model=SimpleNamespace(title="rig"),
-        noise=noise,
-    )
-    return FitAnswer(fit, **more)  # type: ignore[arg-type]
+    return FitAnswer(Text(text="the fit", answer="rig explains its records."), **more)  # type: ignore[arg-type]
 
 
-def test_a_fit_prints_what_was_asked_for_in_order() -> None:
+def test_a_fit_prints_its_answer_then_what_was_asked_for_then_notes_and_on_request_all_else() -> None:
     bootstrap = SimpleNamespace(
         samples=[0] * 200, block=12, names=("K",), std={"K": 0.1234}, interval={"K": (4.75, 5.25)}
     )
     misfit = Misfit(rmse=2e-7, unit="m", best_fit_percent=98.5, noise_ratio=1.02, samples=100)
-    text = str(
-        answer(
-            remedies=("measure i", "fix M"),
-            profiles=(Text(text="K: 5 N/m"),),
-            zero_noise=("noise_v",),
-            bootstrap=bootstrap,
-            refusal="no intervals",
-            scores=Text(text="table"),
-            validation_scores=Text(text="other table"),
-            tests=Text(text="white"),
-            misfits=[RecordMisfit("a", "x", misfit), RecordMisfit("b", "x", misfit)],
-        )
+    value = answer(
+        remedies=("measure i", "fix M"),
+        profiles=(Text(text="K: 5 N/m"),),
+        zero_noise=("noise_v",),
+        bootstrap=bootstrap,
+        refusal="no intervals",
+        scores=Text(text="table"),
+        validation_scores=Text(text="other table"),
+        tests=Text(text="white"),
+        misfits=[RecordMisfit("a", "x", misfit), RecordMisfit("b", "x", misfit)],
     )
-    lines = text.splitlines()
-    assert lines[:5] == ["dx/dt = v", "", "the fit", "", "remedy: measure i"]
-    order = [
-        "or: fix M",
-        "profile likelihood",
-        "  K: 5 N/m",
-        "  noise_v: zero; its limit is listed with the parameters",
-        "block bootstrap, 200 replicates in blocks of 12 rows",
-        "  K: standard deviation 0.123, 95 % [4.75, 5.25]",
-        "no intervals",
+    asked = [
+        "rig explains its records.",
+        "K: 5 N/m",
+        "noise_v: zero; its limit is listed with the parameters",
+        "K: standard deviation 0.123, 95 % [4.75, 5.25]",
+        "note: no intervals",
+        "remedy: measure i",
+        "note: a note",
+        "remedy: fix M",
+    ]
+    more = [
+        "a detail",
         "free run and prediction",
         "  table",
         "free run and prediction, validation records",
-        "residual tests (p below 0.01 is an alarm; each test has a false-alarm rate of 1 %)",
+        "residual tests (an alarm: p below 0.01, as in 1 % of correct fits)",
         "  white",
     ]
-    places = [lines.index(line) for line in order]
+    assert str(value).splitlines()[0] == asked[0]
+    lines = text(value, details=True).splitlines()
+    places = [lines.index(line) for line in (*asked, *more)]
     assert places == sorted(places)
-    assert "estimation record" in text and "validation record " not in text
+    assert not {*more} & {*str(value).splitlines()} and "estimation record" in "\n".join(lines)
 
 
-def test_a_plain_fit_prints_no_more() -> None:
-    assert str(answer()) == "dx/dt = v\n\nthe fit"
+def test_lines_are_broken_between_words_and_notes_end_where_a_screen_does() -> None:
+    notes = [f"{number}: " + "word " * 20 for number in range(9)]
+    document = Document("rig", "One sentence. " * 9, notes=notes, details=[Paragraphs(["x" * 90])])
+    lines = print_text(document, 60).splitlines()
+    assert max(map(len, lines)) <= 60 and all(line.strip() in " ".join([document.answer, *notes]) for line in lines[:2])
+    assert lines[-1] == "(5 more notes: --details, or the page)" and len(lines) < 25
+    assert "x" * 90 in print_text(document, 60, details=True).splitlines()  # a word stays whole
 
 
-def test_a_simulation_prints_file_rows_and_integration() -> None:
-    run = SimpleNamespace(time=[0, 1, 2], inputs={"u": 0}, outputs={"x": 0, "i": 0}, discretisation="exact hold")
-    assert str(SimulationAnswer(run, Path("a.csv"))) == "a.csv: 3 rows, u, x, i; integrated by exact hold"  # type: ignore[arg-type]
+def test_a_table_that_is_too_wide_wraps_its_words_and_then_its_columns() -> None:
+    wide = TableBlock("t", ["name", "what it is", REMARK], [["a", "many words " * 12, "fixed"], ["b", "few", ""]])
+    lines = block_lines(wide, 60)
+    assert max(map(len, lines)) <= 60 and lines[1].split()[0] == "a" and lines[1].endswith("fixed")
+    numbers = TableBlock("t", ["name", *(f"column{k}" for k in range(9))], [["row", *["1.234567e-08"] * 9]])
+    lines = block_lines(numbers, 60)
+    assert max(map(len, lines)) <= 60 and sum(line.split()[0] == "row" for line in lines) == 3
 
 
-def test_an_export_prints_what_was_written() -> None:
-    files = (Path("plant.h"), Path("plant.c"))
-    assert str(CodeAnswer("rig", "C", 1e-3, "one step of", files)) == (
-        "rig as C, one step of 0.001 s\nwritten: plant.h, plant.c"
+def test_a_command_to_copy_keeps_each_option_with_its_value() -> None:
+    command = "next: greybox fit my/rig.py 'a record.csv' --fix M=0.01 --validate other.csv --at-rest"
+    lines = wrap_command(command, 40)
+    assert max(map(len, lines)) <= 40 and all(line.endswith(" \\") for line in lines[:-1])
+    assert " ".join(line.removesuffix(" \\").strip() for line in lines) == command
+    assert any("--fix M=0.01" in line for line in lines)
+
+
+def test_a_simulation_says_its_rows_and_signals() -> None:
+    model = SimpleNamespace(title="rig", all_states=(), inputs=(Input("u", "V"),), outputs=(Output("x", "m"),))
+    time = np.array([0.0, 1.0, 2.0])
+    run = SimpleNamespace(
+        time=time, inputs={"u": time}, outputs={"x": 1e-3 * time}, states={}, discretisation="exact hold"
     )
-    assert str(CodeAnswer("rig", "Modelica", None, "", files[:1])) == "rig as Modelica\nwritten: plant.h"
-    linear = LinearAnswer(Text(text="matrices", name="rig"), Text(text="family"), (Path("plant.mat"),))  # type: ignore[arg-type]
-    assert str(linear) == "matrices\n\nfamily\n\nwritten: plant.mat"
+    lines = str(SimulationAnswer(run, model, "x 1 m")).splitlines()  # type: ignore[arg-type]
+    assert lines[0] == "rig was simulated: 3 rows of u and x over 2 s."
+    assert "  x       output  0 to 2 mm" in lines and lines[-2:] == [
+        "note: white noise was added: x 1 m",
+        "note: integrated by exact hold",
+    ]
 
 
-def test_files_reports_and_studies_have_their_lines() -> None:
-    assert written([Path("a"), Path("b")]) == "written: a, b"
-    assert report_line(Path("r.html")) == "report: r.html (open it in a browser; it needs no network)"
-    assert study_line(Path("s.toml"), "fit") == "written: s.toml; run it with: greybox fit s.toml"
+def test_an_export_says_what_was_written() -> None:
+    assert str(CodeAnswer("rig", "C", 1e-3, "one step of")) == "rig was written as C, one step of 0.001 s."
+    assert str(CodeAnswer("rig", "Modelica", None, "")) == "rig was written as Modelica."
+    linear = LinearAnswer(Text(text="", answer="stable"), Text(text="family"))  # type: ignore[arg-type]
+    assert text(linear, details=True) == "stable\n\nnote: a note\n\na detail\n\nfamily"
+
+
+def test_a_study_that_was_written_says_how_to_run_it() -> None:
+    assert study_line(Path("s.toml"), "fit").splitlines()[-1] == "next: greybox fit s.toml"

@@ -3,20 +3,26 @@
 from greybox.model.effects.catalogue import CATALOGUE, effect
 from greybox.model.effects.placement import EffectListing, Placement, place_effect
 from greybox.model.signals import Parameter
+from greybox.show.describe import text
 from greybox.show.sentences.model import write_catalogue_page, write_places
 
 FRICTION = effect("coulomb_friction")
 
 
-def test_the_catalogue_as_a_table():
-    effects, parts = str(EffectListing("", (FRICTION,))).split("\n\n")
-    assert effects == (
-        "  effect            acts at  parameters    equation\n  coulomb_friction  force    Fc [{force}]  -Fc sign(v)"
+def test_one_effect_is_a_table():
+    assert str(EffectListing("", (FRICTION,))) == (
+        "coulomb_friction acts at force.\n\n"
+        "  effect            at     parameters    equation\n  coulomb_friction  force  Fc [{force}]  -Fc sign(v)"
     )
-    assert parts.splitlines()[:2] == [
-        "  part         what it is",
-        "  contact      two bodies that touch while they move: bearing, guide, seal, gear, tyre, brush",
-    ]
+
+
+def test_the_catalogue_is_listed_by_site():
+    lines = str(EffectListing("", CATALOGUE)).splitlines()
+    assert lines[0] == f"{len(CATALOGUE)} effects can be added to a model." and max(map(len, lines)) <= 80
+    listed = text(EffectListing("", CATALOGUE), 400, details=True).replace(",", " ").split()
+    assert all(e.name in listed for e in CATALOGUE)
+    whole = text(EffectListing("", CATALOGUE), details=True)
+    assert "-Fc sign(v)" in whole and "two bodies that touch while they move" in whole
 
 
 def test_places_and_why_there_is_none():
@@ -38,12 +44,12 @@ def test_places_and_why_there_is_none():
         Placement("input_offset", "u", None, "the model contains it already"),
     )
     assert str(EffectListing("m", CATALOGUE, placements)) == (
-        "m takes 1 effect:\n"
+        "coulomb_friction_at_load acts at load_torque.\n"
+        "\n"
         "  effect                    at           parameters  equation\n"
         "  coulomb_friction_at_load  load_torque  Fc [N*m]    -Fc sign(v)\n"
         "\n"
-        "no place for:\n"
-        "  effect        why not\n"
+        "  effect        why it has no place\n"
         "  valve_lag     it needs an input with the role `valve`\n"
         "  eddy_current  it needs a balance 'voltage'\n"
         "  input_offset  the model contains it already"

@@ -7,6 +7,7 @@ from greybox.base.findings import Finding
 from greybox.data.experiment import Experiment
 from greybox.data.findings import RecordCode
 from greybox.data.survey import FileSurvey, SignalSurvey
+from greybox.show.describe import text
 from greybox.show.sentences.registry import sentence
 
 GAP = {"gaps": 2, "start": 10.0, "stop": 40.5, "usual_step": 0.5}
@@ -291,9 +292,11 @@ def test_a_survey_is_a_table_with_the_columns_to_name():
         signal("/cmd.value [V]", "V", 2000, 0.001, "input", "value", held=True, model_unit="V"),
         signal("x [mm]", "mm", 200, 0.01, "output", "x", gaps=2, missing=3, regular=False, model_unit="mm"),
     )
-    text = str(FileSurvey("run.mcap", "MCAP", signals, (Finding(RecordCode.NO_TIME),)))
-    lines = text.splitlines()
-    assert lines[0] == "run.mcap: MCAP, 2 signals"
+    survey = FileSurvey("run.mcap", "MCAP", signals, (Finding(RecordCode.NO_TIME),))
+    lines = text(survey, 200).splitlines()
+    assert (
+        lines[0] == "run.mcap: MCAP, 2 signals, 2000 rows; value may be an input; x may be an output; 1 thing to know."
+    )
     assert lines[3].split() == [
         "/cmd.value",
         "V",

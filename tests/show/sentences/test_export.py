@@ -7,6 +7,7 @@ import pytest
 import greybox as gb
 from greybox.base.findings import Finding
 from greybox.estimation.linear.exported_model import ExportFinding as Code
+from greybox.show import describe
 from models.micro_actuator import micro_actuator
 
 FRICTION = {"effects": ["coulomb_friction"], "state": "v", "level": 0.1, "held": 0.0589, "unit": "N"}
@@ -109,9 +110,10 @@ def test_each_code_has_its_sentence(code: Code) -> None:
 
 
 def test_a_linear_model_prints_its_point_matrices_poles_and_channels() -> None:
-    text = str(gb.linearise(micro_actuator, {"u": 1.0}))
+    model = gb.linearise(micro_actuator, {"u": 1.0})
+    text = describe.text(model, details=True)
+    assert str(model).splitlines()[0] == "micro_actuator as a linear model, continuous, with 3 states: it is stable."
     for part in (
-        "micro_actuator: linear model, continuous",
         "  A = ",
         "natural frequency",
         "u -> x: gain",

@@ -48,7 +48,8 @@ def test_tests_are_printed_as_a_table():
     tests = ResidualTests((ResidualTest("x", ResidualTestKind.NORMALITY, 12.345, 0.0021, True),), ("x",))
     assert str(tests).splitlines() == [
         "  output  test       statistic  p",
-        "  x       normality  12.35      0.0021  not normal: look for outliers, quantisation or two regimes",
+        "  x       normality  12.35      0.0021  not normal: look for outliers,",
+        "                                        quantisation or two regimes",
         "",
         "the residual of x was whitened with the noise model before the tests",
     ]
