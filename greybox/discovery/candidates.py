@@ -35,6 +35,7 @@ def list_candidates(
     failures: FailureLog,
     effects: Sequence[Effect] | None = None,
     without: Collection[str] = (),
+    beside: Sequence[Effect] = (),
 ) -> CandidateList:
     """The effects that ``model`` may lack, made ready for a record.
 
@@ -48,15 +49,18 @@ def list_candidates(
         The only candidates, instead of the catalogue.
     without
         Names of effects to leave out, at all their sites.
+    beside
+        Effects of one's own that are tried as well; one of the same name comes in the place of the catalogue's.
 
     Raises
     ------
     ModelError
         For a name in ``without`` that neither ``effects`` nor the catalogue has, and where none of ``effects`` has a place.
     """
-    entries = tuple(effects) if effects else tuple(applicable_effects(model))
-    if names := [e for e in entries if isinstance(e, str)]:
+    if names := [e for e in effects or () if isinstance(e, str)]:
         raise ModelError(f"effects: {names[0]!r} is a name; give the effect, as in gb.effect({names[0]!r})")
+    renewed = {e.name for e in beside}
+    entries = (*(e for e in effects or applicable_effects(model) if e.name not in renewed), *beside)
     _check_names(without, [e.name for e in (*entries, *all_effects())])
     left_out = [e.name for e in entries if {e.name, e.name.partition(AT)[0]} & set(without)]
     not_tried = {name: Finding(DiscoveryCode.EFFECT_LEFT_OUT, subject=name) for name in left_out}

@@ -46,7 +46,7 @@ from greybox.estimation.fit import fit as estimate
 from greybox.estimation.record_trends import shared_conditions
 from greybox.estimation.transcription.problem import TranscriptionReason
 from greybox.model import Effect, Model
-from greybox.model.effects import Scales, applicable_effects
+from greybox.model.effects import Scales
 from greybox.simulation.plant import Plant, PlantModel, as_model
 
 Records = Experiment | Sequence[Experiment]
@@ -242,8 +242,7 @@ def discover(
         if laws and effects is not None and not effects:  # nothing of the catalogue
             listed = list_candidates(model, scales, problem.failures, beside) if beside else CandidateList(())
         else:
-            given = _with_own(model, effects, beside) if beside else effects
-            listed = list_candidates(model, scales, problem.failures, given, without)
+            listed = list_candidates(model, scales, problem.failures, effects, without, beside)
         findings: tuple[Finding, ...] = ()
         judged = _select_and_judge(problem, listed.effects, scales, validation_set, policy, on_message)
         if (
@@ -400,12 +399,6 @@ def _tell_if_errors_grow(plain: FittedCandidate, options: FitOptions) -> tuple[F
     # exp(rate duration) is the factor by which an error grows.
     longest = math.log(options.policy.transcription.max_error_growth) / choice.reason.values["rate"]
     return (Finding(DiscoveryCode.ERRORS_GROW, Severity.WARNING, values={**choice.reason.values, "longest": longest}),)
-
-
-def _with_own(model: Model, effects: Sequence[Effect] | None, beside: Sequence[Effect]) -> Sequence[Effect]:
-    """The candidates with those of one's own behind them; one of the same name comes in the place of the catalogue's."""
-    names = {e.name for e in beside}
-    return (*(e for e in effects or applicable_effects(model) if e.name not in names), *beside)
 
 
 def _as_tuple(records: Records) -> tuple[Experiment, ...]:

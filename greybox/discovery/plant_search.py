@@ -22,6 +22,7 @@ from greybox.estimation import Fit, FitOptions, Trace
 from greybox.estimation.fit import fit
 from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import applicable_effects
+from greybox.model.parts import read_parts
 from greybox.simulation.local_model import build_local_model, extend_record
 from greybox.simulation.plant import LinearResponse, PlantModel, find_straight
 from greybox.simulation.plant_kernel import PlantKernel
@@ -100,7 +101,7 @@ def view_plant(result: Fit, effects: Sequence[str] | None = None, test: Sequence
     about = local.model
     for effect in model.effects:
         about = about + effect if effects is None or effect.name in effects else about
-    about = about.start(**_translate(model, about))
+    about = about.start(**_translate(model, about)).with_parts(has=model.has, lacks=model.lacks)
     estimation, validation, tests = (tuple(map(extend, group)) for group in (traces, others, test))
     return PlantView(about, local.response, estimation, validation, tests, kernel.runs)
 
@@ -191,7 +192,9 @@ def search_plant(
 
     def look(view: PlantView) -> tuple[Discovery, Fit]:
         """The answer about a run, and the plant with the effects of that; in its place the model about the run where it does not run."""
-        listed = [e for e in applicable_effects(model) if (model + e).bound_effects[-1].site in view.seen]
+        parts = read_parts(model)
+        possible = [e for e in applicable_effects(model) if not parts.missing(e)]
+        listed = [e for e in possible if (model + e).bound_effects[-1].site in view.seen]
         answer = search(
             view.model,
             view.estimation,

@@ -68,6 +68,15 @@ def test_what_the_rig_cannot_have_is_not_tried(scales):
     assert [e.name for e in given.effects] == ["cubic_stiffness"]
 
 
+def test_effects_of_ones_own_are_tried_beside_what_is_possible(scales):
+    rig = replace(silverbox, candidates=(), lacks=("spring", "rubber"))
+    own = [replace(gb.effect("constant_load"), name="leaning"), replace(gb.effect("input_offset"), source="mine")]
+    listed = list_candidates(rig, scales, FailureLog(), beside=own)
+    assert {"leaning", "input_offset"} <= {e.name for e in listed.effects}
+    assert [e.source for e in listed.effects if e.name == "input_offset"] == ["mine"]
+    assert listed.not_tried["cubic_stiffness"].code == Code.PART_MISSING
+
+
 def test_beside_a_list_of_the_model_only_what_is_said_rules_out(scales):
     few = replace(silverbox, candidates=("cubic_stiffness", "coulomb_friction"), lacks=("contact",))
     names = [e.name for e in list_candidates(few, scales, FailureLog()).effects]

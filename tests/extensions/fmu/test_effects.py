@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -93,6 +94,12 @@ def test_the_model_about_its_run_is_the_fmu_where_it_was_run(fitted):
     run = gb.simulate(view.model, view.estimation[0])
     for name, values in fitted.traces[0].simulated.items():
         np.testing.assert_allclose(run.outputs[name], values, atol=1e-9)
+
+
+def test_what_the_rig_lacks_is_known_of_the_model_about_its_run(fitted):
+    told = replace(fitted, model=fitted.model.with_parts(has=["motor"], lacks=["link"]))
+    view = view_plant(told)
+    assert (view.model.has, view.model.lacks) == (("motor",), ("link",))
 
 
 def test_effects_at_every_input_and_output_are_candidates(fitted):
