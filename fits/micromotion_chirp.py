@@ -24,10 +24,10 @@ import numpy as np
 
 import greybox as gb
 from fits import micromotion_printed as printed
+from fits.micromotion_smoothing import MonteCarloSmoothing, monte_carlo_smoothing
 from fits.micromotion_twin import DELAY, MICRO, ROWS, SAMPLING_TIME, SEED, in_micrometres, record, step_record
 from fits.paper_page import MEASURED, MODELS, Say, docs_folder, legend, markdown, picture, save, write_section
 from greybox.comparison.blackbox.arx import arx
-from greybox.comparison.blackbox.monte_carlo_smoothing import MonteCarloSmoothing, monte_carlo_smoothing
 from greybox.comparison.blackbox.polynomial import PolynomialModel
 from greybox.comparison.blackbox.prediction_error_models import armax, output_error
 from greybox.data.signals import chirp

@@ -9,6 +9,7 @@ import numpy as np
 
 from fits import micromotion_printed as printed
 from fits.micromotion_paper import EVALUATIONS, Study, spread, study, verdict
+from fits.micromotion_smoothing import find_resonance
 from fits.micromotion_twin import MICRO, ROWS, SAMPLING_TIME, SEED, motion
 from fits.paper_page import (
     MEASURED,
@@ -24,7 +25,6 @@ from fits.paper_page import (
     save,
     write_section,
 )
-from greybox.comparison.blackbox.monte_carlo_smoothing import find_resonance
 from greybox.comparison.blackbox.rounding import to_continuous
 
 

@@ -21,10 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fits import micromotion_printed as printed
-from fits.micromotion_twin import ROWS, SAMPLING_TIME, SEED, in_micrometres, step_record
-from fits.paper_page import rms_log
-from greybox.comparison.blackbox.arx import arx
-from greybox.comparison.blackbox.monte_carlo_smoothing import (
+from fits.micromotion_smoothing import (
     MonteCarloSmoothing,
     NumeratorComparison,
     SmoothingProgress,
@@ -33,6 +30,9 @@ from greybox.comparison.blackbox.monte_carlo_smoothing import (
     find_resonance,
     monte_carlo_smoothing,
 )
+from fits.micromotion_twin import ROWS, SAMPLING_TIME, SEED, in_micrometres, step_record
+from fits.paper_page import rms_log
+from greybox.comparison.blackbox.arx import arx
 from greybox.comparison.blackbox.polynomial import PolynomialModel
 from greybox.comparison.blackbox.prediction_error_models import armax, output_error
 from greybox.data.experiment import Experiment

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from greybox.comparison.blackbox.monte_carlo_smoothing import DrawIntervals, MonteCarloSmoothing, StepResponseConstants
+from fits.micromotion_smoothing import DrawIntervals, MonteCarloSmoothing, StepResponseConstants
 
 SAMPLING_TIME = 2.5e-4
 DELAYS, ORDERS = (1, 2, 3), (2, 3, 4, 5)  # rows and columns of Tables 1 and 2
 TABLE_1 = np.array([[27.128, 17.442, 12.911, 10.189], [27.541, 16.490, 10.660, 7.087], [28.008, 16.194, 9.474, 5.370]])
 TABLE_2 = np.array([[5.818, 4.486, 5.136, 4.952], [5.376, 2.513, 2.546, 2.693], [5.309, 2.281, 1.729, 1.871]])
-# Table 3: direct (D-E) and smoothed (S-E), in the order of `greybox.comparison.blackbox.monte_carlo_smoothing.NUMERATOR_STRUCTURES`.
+# Table 3: direct (D-E) and smoothed (S-E), in the order of `fits.micromotion_smoothing.NUMERATOR_STRUCTURES`.
 TABLE_3_DIRECT = (16.241, 16.281, 16.549, 16.959, 27.539, 27.716, 27.891)
 TABLE_3_SMOOTHED = (None, None, None, None, 0.652, 13.614, 9.925)
 

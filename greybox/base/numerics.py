@@ -73,9 +73,6 @@ REFLECTED_ROOT_MARGIN = 1e-6
 # An integrator's pole is held this far inside the unit circle: it must not leak over a long record.
 CONFINED_ROOT_MARGIN = 1e-9
 
-# A step response whose first value is below this share of its final value does not jump.
-NEGLIGIBLE_JUMP = 1e-9
-
 # Largest imaginary part of a matrix logarithm, relative to its largest entry, that is rounding.
 IMAGINARY_ROUNDING = 1e-6
 

@@ -11,7 +11,6 @@ from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import SAME_SAMPLING_TIME, TINY
 from greybox.comparison.blackbox.best_models import best_black_boxes
-from greybox.comparison.blackbox.monte_carlo_smoothing import monte_carlo_smoothing
 from greybox.comparison.blackbox.resample import keep_measured_rows, match_sampling_time, resample
 from greybox.comparison.blackbox.subspace import WEIGHTS, StateSpaceModel, SubspaceOutput, subspace
 from greybox.comparison.compare import NamedModel
@@ -20,7 +19,6 @@ from greybox.data.experiment import Experiment
 from greybox.estimation.errors import OutputScore
 from greybox.estimation.score import run_by_itself
 
-SMOOTHING = "monte_carlo_smoothing"
 STATE_SPACE = "subspace"
 
 BlackBoxProgress = Callable[[str, int, int], None]
@@ -40,7 +38,7 @@ def fit_black_boxes(
     report: BlackBoxProgress | None = None,
     policy: ComparisonPolicy = DEFAULT_COMPARISON,
 ) -> tuple[tuple[NamedModel, ...], tuple[Finding, ...]]:
-    """Fit the best ARX, ARMAX, output-error, Box-Jenkins and Hammerstein model of each output, and smooth a step response.
+    """Fit the best ARX, ARMAX, output-error, Box-Jenkins and Hammerstein model of each output.
 
     Where there are several inputs or outputs a state-space model of all of them is identified as well, by subspace projection. Models of
     one kind for several outputs are compared together. Records of irregular time are resampled at their usual step, and
@@ -101,13 +99,6 @@ def fit_black_boxes(
         if boxes:
             models[STATE_SPACE] = list(boxes)
             seconds[STATE_SPACE] = time.perf_counter() - began
-    for output in outputs:
-        began = time.perf_counter()
-        smoothing, failed = _smooth_step(regular, output, inputs, units or {})
-        findings += failed
-        if smoothing is not None:
-            models.setdefault(SMOOTHING, []).append(smoothing)
-            seconds[SMOOTHING] = seconds.get(SMOOTHING, 0.0) + time.perf_counter() - began
     named = tuple(NamedModel(name, tuple(boxes), seconds[name]) for name, boxes in models.items())
     return named, tuple(findings)
 
@@ -182,28 +173,3 @@ def _identify_state_space(
 
     # The free run decides, as it does in the comparison.
     return min(models, key=measure).boxes(), []
-
-
-# Seed of Monte-Carlo smoothing, so that a comparison can be repeated.
-SMOOTHING_SEED = 1
-
-
-def _smooth_step(
-    records: Sequence[Experiment],
-    output: str,
-    inputs: Sequence[str],
-    units: Mapping[str, str],
-) -> tuple[BlackBoxModel | None, list[Finding]]:
-    """Monte-Carlo smoothing of the first record that is a single step from zero; None where none is, or it has no resonance."""
-    findings: list[Finding] = []
-    for record in records:
-        # A step moves once, from zero.
-        steps = [name for name in inputs if np.count_nonzero(np.diff(record.inputs[name], prepend=0.0)) == 1]
-        if len(steps) != 1 or len(inputs) != 1 or output not in record.outputs:
-            continue
-        try:
-            smoothing = monte_carlo_smoothing(record, seed=SMOOTHING_SEED, output=output, input=steps[0], units=units)
-            return smoothing, findings
-        except DataError as error:
-            findings.append(Finding(ComparisonFinding.NO_SMOOTHING, Severity.NOTE, output, {"reason": str(error)}))
-    return None, findings

@@ -45,8 +45,6 @@ class ComparisonFinding(StrEnum):
     """A record was resampled for the black boxes."""
     MEASURED_ROWS_ONLY = "compared_measured_rows_only"
     """Black boxes use the rows at which a slow sensor was read."""
-    NO_SMOOTHING = "compared_no_smoothing"
-    """Monte-Carlo smoothing was not possible."""
 
 
 @dataclass(frozen=True)

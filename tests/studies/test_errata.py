@@ -11,12 +11,12 @@ from scipy.signal import lfilter
 
 from fits import micromotion_printed as wang
 from fits import pneumatic_printed as chapter
+from fits.micromotion_smoothing import compare_numerators
 from fits.micromotion_twin import in_micrometres, step_record
 from fits.pneumatic_nine_experiments import AMPLITUDES, FREQUENCIES
 from greybox.base.errors import DataError
 from greybox.base.units import parse_unit
 from greybox.comparison.blackbox.arx import arx
-from greybox.comparison.blackbox.monte_carlo_smoothing import compare_numerators
 from greybox.comparison.blackbox.polynomial import PolynomialModel
 from greybox.comparison.blackbox.rounding import to_continuous
 from greybox.data.experiment import Experiment

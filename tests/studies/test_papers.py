@@ -17,8 +17,8 @@ from fits import (
 )
 from fits import micromotion_printed as wang
 from fits import pneumatic_printed as chapter
+from fits.micromotion_smoothing import find_resonance
 from fits.paper_page import rms_log
-from greybox.comparison.blackbox.monte_carlo_smoothing import find_resonance
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "studies" / "paper_tables.md"
 

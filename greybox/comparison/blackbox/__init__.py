@@ -3,7 +3,6 @@
 from greybox.comparison.blackbox.arx import arx
 from greybox.comparison.blackbox.best_models import best_black_boxes
 from greybox.comparison.blackbox.hammerstein import HammersteinModel, StaticNonlinearity, hammerstein
-from greybox.comparison.blackbox.monte_carlo_smoothing import MonteCarloSmoothing, monte_carlo_smoothing
 from greybox.comparison.blackbox.polynomial import PolynomialModel
 from greybox.comparison.blackbox.prediction_error import PredictionErrorPolicy
 from greybox.comparison.blackbox.prediction_error_models import armax, box_jenkins, output_error
@@ -27,7 +26,6 @@ __all__ = [
     "BlackBoxKind",
     "ContinuousTransferFunction",
     "HammersteinModel",
-    "MonteCarloSmoothing",
     "PolynomialModel",
     "PredictionErrorPolicy",
     "ScannedStructure",
@@ -43,7 +41,6 @@ __all__ = [
     "count_digits_needed",
     "hammerstein",
     "keep_measured_rows",
-    "monte_carlo_smoothing",
     "output_error",
     "resample",
     "round_coefficients",

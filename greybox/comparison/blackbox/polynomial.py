@@ -43,12 +43,6 @@ class BlackBoxFinding(StrEnum):
     """A pole lies on or outside the unit circle."""
     SEARCH_UNFINISHED = "black_box_search_unfinished"
     """The search used up its iterations before it converged."""
-    SMOOTHING_FEEDTHROUGH = "smoothing_feedthrough"
-    """The smoothed step response jumps at the step, as a delayed one does in its first rows."""
-    SMOOTHING_AT_INTERVAL_END = "smoothing_at_interval_end"
-    """The best draw of a constant is the outermost of its interval."""
-    SMOOTHING_ABOVE_SPECIFICATION = "smoothing_above_specification"
-    """The mean square error exceeds the specification."""
 
 
 # Polynomials in ``q^-1`` made stable: their roots brought inside the unit circle.

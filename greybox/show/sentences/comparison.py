@@ -12,12 +12,12 @@ from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock,
 from greybox.comparison.blackbox.polynomial import BlackBoxFinding
 from greybox.comparison.result import ComparisonFinding
 from greybox.show.sentences.estimation import status_text
-from greybox.show.sentences.registry import register, renders, sentences
+from greybox.show.sentences.registry import register, renders
 from greybox.show.sentences.wording import format_number, value_with_unit, with_unit
 
 if TYPE_CHECKING:
     from greybox.base import Check
-    from greybox.comparison.blackbox import MonteCarloSmoothing, PolynomialModel, StateSpaceModel, StructureScan
+    from greybox.comparison.blackbox import PolynomialModel, StateSpaceModel, StructureScan
     from greybox.comparison.blackbox.hammerstein import HammersteinModel, StaticNonlinearity
     from greybox.comparison.blackbox.rounding import ContinuousTransferFunction
     from greybox.comparison.frequency import BestLinearApproximation, FrequencyResponse
@@ -85,7 +85,6 @@ register(
         ComparisonFinding.MEASURED_ROWS_ONLY: (
             "{subject}: the black boxes use only the measured rows, every {sampling_time:.6g} s"
         ),
-        ComparisonFinding.NO_SMOOTHING: "{subject}: no Monte-Carlo smoothing ({reason})",
     }
 )
 
@@ -179,27 +178,11 @@ def _unstable(finding: Finding) -> str:
     )
 
 
-def _smoothing_feedthrough(finding: Finding) -> str:
-    values = finding.values
-    jump = value_with_unit(values["jump"], values["unit"], 4)
-    return (
-        f"the response jumps by {jump} at the step, which a plant with inertia cannot; its phase is that of a delay of"
-        f" {values['delay']:.4g} s ({values['samples']:.2f} samples)"
-    )
-
-
 register(
     {
         BlackBoxFinding.WEAK_EXCITATION: _weak_excitation,
         BlackBoxFinding.UNSTABLE: _unstable,
         BlackBoxFinding.SEARCH_UNFINISHED: "the search stopped after {iterations} iterations without convergence",
-        BlackBoxFinding.SMOOTHING_FEEDTHROUGH: _smoothing_feedthrough,
-        BlackBoxFinding.SMOOTHING_AT_INTERVAL_END: lambda finding: (
-            f"{', '.join(finding.values['constants'])}: the best draw lies at the end of its interval; adjust the interval"
-        ),
-        BlackBoxFinding.SMOOTHING_ABOVE_SPECIFICATION: (
-            "the mean square error {error:.4g} exceeds the specification {specification:.4g}"
-        ),
     }
 )
 
@@ -298,33 +281,6 @@ def structure_scan_blocks(scan: StructureScan) -> list[Block]:
     title = f"{len(scan.structures)} structures, chosen by {scan.criterion}; free run over {records}"
     table = TableBlock("Structures", ["structure", "coefficients", "AIC", "BIC", "free run", "", ""], rows)
     return [Details(title, [table, Paragraphs(more)])]
-
-
-@renders("MonteCarloSmoothing")
-def smoothing_blocks(smoothing: MonteCarloSmoothing) -> list[Block]:
-    """The five parameters with the intervals they were drawn from, the error, and the transfer function."""
-    from greybox.comparison.blackbox.monte_carlo_smoothing import AXES, SYMBOLS
-
-    unit = smoothing.units.get(smoothing.output, "")
-    units = {"amplitude": unit, "ratio": "", "phase": "rad", "frequency": "rad/s", "decay": "1/s"}
-    intervals = {a: "[{:.5g}, {:.5g}]".format(*getattr(r.intervals, a)) for r in smoothing.rounds[-1:] for a in AXES}
-    rows = [[SYMBOLS[a], f"{getattr(smoothing.best, a):.6g}", units[a], intervals.get(a, "")] for a in AXES]
-    evaluations = sum(len(r.candidates) for r in smoothing.rounds)
-    search = (
-        f"{evaluations} evaluations of {smoothing.draws.combinations:,} combinations,"
-        f" {len(smoothing.rounds) - 1} adjustments"
-    )
-    title = (
-        f"Monte-Carlo smoothing of {smoothing.output} after a step of {smoothing.height:g} of {smoothing.input},"
-        f" {smoothing.samples} rows"
-    )
-    error = f"mean square error {smoothing.error:.5g} {unit and unit + '^2'}".rstrip()
-    function = f"transfer function {continuous_transfer_function_text(smoothing.transfer_function)}"
-    return [
-        Paragraphs([title, *([search] if smoothing.rounds else [])]),
-        TableBlock("Parameters", ["parameter", "value", "unit", "drawn from"], rows),
-        Paragraphs([error, function, *(f"note: {text}" for text in sentences(smoothing.findings))]),
-    ]
 
 
 @renders("ContinuousTransferFunction")

@@ -2,6 +2,7 @@
 
 import warnings
 
+import control
 import numpy as np
 import pytest
 import statsmodels.api as sm
@@ -365,3 +366,18 @@ def test_a_fast_unstable_model_runs_from_the_few_rows_that_tell_its_past():
     run = model.simulate(gb.Experiment("r", np.arange(60.0), {"u": u}, {"y": rng.standard_normal(60)}), rows=50)["y"]
     for k in range(5, 12):
         assert run[k] == pytest.approx(0.5 * u[k - 1] - a[1:] @ run[k - 5 : k][::-1], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("above", "below", "late"), [([3.0], [1, 2.0, 50.0], 0), ([1.0, 5.0, 9.0], [1, 3.0, 2.0], 0), ([2.0], [1, 0.5], 3)]
+)
+def test_back_to_the_s_domain_is_the_inverse_of_the_hold(above, below, late):
+    held = control.sample_system(control.tf(above, below), 0.05, "zoh")
+    b = np.atleast_1d(held.num[0][0])
+    b = np.concatenate([np.zeros(len(held.den[0][0]) - len(b) + late), b])
+    nk = int(np.flatnonzero(b)[0])
+    model = gb.blackbox.PolynomialModel("arx", "y", ("u",), 0.05, (nk,), (b,), a=held.den[0][0])
+    found = gb.blackbox.to_continuous(model)
+    assert np.trim_zeros(np.round(found.numerator, 9), "f") == pytest.approx(above, abs=1e-7)
+    assert found.denominator == pytest.approx(below, rel=1e-8)
+    assert found.delay == pytest.approx(0.05 * late)

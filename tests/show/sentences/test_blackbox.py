@@ -24,23 +24,6 @@ SENTENCES = {
         Finding(Code.SEARCH_UNFINISHED, values={"iterations": 100}),
         "the search stopped after 100 iterations without convergence",
     ),
-    Code.SMOOTHING_FEEDTHROUGH: (
-        Finding(
-            Code.SMOOTHING_FEEDTHROUGH,
-            subject="x",
-            values={"jump": 0.12, "unit": "um", "delay": 3.1e-4, "samples": 1.24},
-        ),
-        "the response jumps by 0.12 um at the step, which a plant with inertia cannot; its phase is that of a delay of 0.00031 s"
-        " (1.24 samples)",
-    ),
-    Code.SMOOTHING_AT_INTERVAL_END: (
-        Finding(Code.SMOOTHING_AT_INTERVAL_END, values={"constants": ["r", "theta"]}),
-        "r, theta: the best draw lies at the end of its interval; adjust the interval",
-    ),
-    Code.SMOOTHING_ABOVE_SPECIFICATION: (
-        Finding(Code.SMOOTHING_ABOVE_SPECIFICATION, values={"error": 0.02, "specification": 0.01}),
-        "the mean square error 0.02 exceeds the specification 0.01",
-    ),
 }
 
 

@@ -60,10 +60,6 @@ SENTENCES = {
         Finding(Code.NO_STATE_SPACE, values={"reason": "60 rows are too few"}),
         "no state-space model of all inputs and outputs (60 rows are too few)",
     ),
-    Code.NO_SMOOTHING: (
-        Finding(Code.NO_SMOOTHING, subject="x", values={"reason": "no resonance"}),
-        "x: no Monte-Carlo smoothing (no resonance)",
-    ),
 }
 
 

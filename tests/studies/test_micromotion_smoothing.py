@@ -8,9 +8,7 @@ import pytest
 
 import greybox as gb
 from fits import micromotion_printed as wang
-from fits.micromotion_twin import ROWS, in_micrometres, step_record
-from greybox.base.findings import with_code
-from greybox.comparison.blackbox.monte_carlo_smoothing import (
+from fits.micromotion_smoothing import (
     NUMERATOR_STRUCTURES,
     DrawCounts,
     DrawIntervals,
@@ -19,10 +17,10 @@ from greybox.comparison.blackbox.monte_carlo_smoothing import (
     estimate_intervals,
     estimate_spectrum,
     find_resonance,
+    monte_carlo_smoothing,
     search_grid,
 )
-from greybox.comparison.blackbox.polynomial import BlackBoxFinding
-from greybox.comparison.blackbox.rounding import to_continuous
+from fits.micromotion_twin import ROWS, in_micrometres, step_record
 
 TS = wang.SAMPLING_TIME
 FEW = DrawCounts(amplitude=6, ratio=3, phase=3, frequency=4, decay=3)
@@ -63,9 +61,7 @@ def test_the_grid_is_the_best_of_all_combinations_one_by_one(twin):
 def test_the_papers_numbers_of_draws(twin):
     assert DrawCounts().combinations == 20 * 10 * 10 * 50 * 20
     told = []
-    found = gb.blackbox.monte_carlo_smoothing(
-        twin, seed=1, intervals=wang.INTERVALS, draws=FEW, report=told.append, adjustments=1
-    )
+    found = monte_carlo_smoothing(twin, seed=1, intervals=wang.INTERVALS, draws=FEW, report=told.append, adjustments=1)
     assert [(p.round, p.evaluation) for p in told] == [(r, k) for r in (1, 2) for k in range(1, 21)]
     assert isinstance(told[0], SmoothingProgress) and told[-1].error == found.error
     assert all(a.error >= b.error for a, b in pairwise(told))  # best so far
@@ -83,13 +79,12 @@ def test_the_papers_numbers_of_draws(twin):
 
 def test_the_loop_of_figure_1_ends_at_the_specification(twin):
     options = {"seed": 2, "intervals": wang.INTERVALS, "draws": FEW, "evaluations": 5}
-    easy = gb.blackbox.monte_carlo_smoothing(twin, specification=1e3, **options)
+    easy = monte_carlo_smoothing(twin, specification=1e3, **options)
     assert easy.met and len(easy.rounds) == 1
-    hard = gb.blackbox.monte_carlo_smoothing(twin, specification=1e-9, adjustments=3, **options)
+    hard = monte_carlo_smoothing(twin, specification=1e-9, adjustments=3, **options)
     assert not hard.met and len(hard.rounds) == 4
     assert hard.error <= easy.error
-    assert with_code(hard.findings, BlackBoxFinding.SMOOTHING_ABOVE_SPECIFICATION)
-    same = gb.blackbox.monte_carlo_smoothing(twin, specification=1e3, **options)
+    same = monte_carlo_smoothing(twin, specification=1e3, **options)
     assert same.coefficients == easy.coefficients  # the seed says it all
 
 
@@ -111,17 +106,17 @@ def test_the_intervals_from_the_data_hold_the_constants(noise):
 @pytest.mark.parametrize("rows", [120, 300, 900])
 def test_a_record_shorter_than_the_window_shows_its_frequency_too(rows):
     t = TS * np.arange(rows)
-    found = gb.blackbox.monte_carlo_smoothing(step(equation_17(t, **TRUE)), seed=1, draws=FEW)
+    found = monte_carlo_smoothing(step(equation_17(t, **TRUE)), seed=1, draws=FEW)
     assert found.coefficients["w"] == pytest.approx(TRUE["frequency"], rel=0.03)
     with pytest.raises(gb.errors.DataError, match=r"at least 3 show how the oscillation decays: .* use output_error"):
-        gb.blackbox.monte_carlo_smoothing(step(1 - np.exp(-t / t[rows // 8])), seed=1)
+        monte_carlo_smoothing(step(1 - np.exp(-t / t[rows // 8])), seed=1)
 
 
 def test_a_step_that_comes_late_and_is_not_one_gives_the_same_constants():
     t = TS * np.arange(900)
     y = equation_17(t, **TRUE)
     plain, moved = (
-        gb.blackbox.monte_carlo_smoothing(step(y, edge=edge, height=h), seed=5, draws=FEW, adjustments=0)
+        monte_carlo_smoothing(step(y, edge=edge, height=h), seed=5, draws=FEW, adjustments=0)
         for edge, h in ((0, 1.0), (37, 2.0))
     )
     assert moved.coefficients == pytest.approx(plain.coefficients, rel=1e-9)
@@ -140,22 +135,9 @@ def test_equation_17_is_its_transfer_function_and_its_difference_equation():
     held = control.sample_system(system, TS, "zoh")
     assert found.model.b[0] == pytest.approx(held.num[0][0], rel=1e-6)
     assert found.model.f[0] == pytest.approx(held.den[0][0], rel=1e-9)
-    assert found.jump == pytest.approx(found.transfer_function.feedthrough) == pytest.approx(found.feedthrough["u"])
-
-
-@pytest.mark.parametrize(
-    ("above", "below", "late"), [([3.0], [1, 2.0, 50.0], 0), ([1.0, 5.0, 9.0], [1, 3.0, 2.0], 0), ([2.0], [1, 0.5], 3)]
-)
-def test_back_to_the_s_domain_is_the_inverse_of_the_hold(above, below, late):
-    held = control.sample_system(control.tf(above, below), 0.05, "zoh")
-    b = np.atleast_1d(held.num[0][0])
-    b = np.concatenate([np.zeros(len(held.den[0][0]) - len(b) + late), b])
-    nk = int(np.flatnonzero(b)[0])
-    model = gb.blackbox.PolynomialModel("arx", "y", ("u",), 0.05, (nk,), (b,), a=held.den[0][0])
-    found = to_continuous(model)
-    assert np.trim_zeros(np.round(found.numerator, 9), "f") == pytest.approx(above, abs=1e-7)
-    assert found.denominator == pytest.approx(below, rel=1e-8)
-    assert found.delay == pytest.approx(0.05 * late)
+    assert (
+        found.jump == pytest.approx(found.transfer_function.feedthrough) == pytest.approx(found.model.feedthrough["u"])
+    )
 
 
 def test_direct_and_smoothed_least_squares_are_plain_least_squares(twin):
@@ -199,15 +181,15 @@ def test_direct_and_smoothed_least_squares_are_plain_least_squares(twin):
 )
 def test_what_is_no_oscillating_step_response_is_refused(twin, change, message):
     with pytest.raises(gb.errors.DataError, match=message):
-        gb.blackbox.monte_carlo_smoothing(change(twin), seed=1)
+        monte_carlo_smoothing(change(twin), seed=1)
 
 
 def test_intervals_and_counts_that_cannot_be_are_refused(twin):
     with pytest.raises(gb.errors.DataError, match=r"no parameter 'freqency'.*frequency"):
-        gb.blackbox.monte_carlo_smoothing(twin, seed=1, intervals={"freqency": (700, 800)})
+        monte_carlo_smoothing(twin, seed=1, intervals={"freqency": (700, 800)})
     with pytest.raises(
         gb.errors.DataError, match=r"interval of decay: \[36, 12\]; give two finite numbers, the lower one first"
     ):
         DrawIntervals(amplitude=(28, 31), ratio=(0, 1), phase=(0.5, 1.2), frequency=(739, 785), decay=(36, 12))
     with pytest.raises(gb.errors.DataError, match="0 evaluations"):
-        gb.blackbox.monte_carlo_smoothing(twin, seed=1, evaluations=0)
+        monte_carlo_smoothing(twin, seed=1, evaluations=0)

@@ -1,22 +1,23 @@
-"""Least squares on the measured and on the smoothed response, for several numerators (equations 18 and 19, Table 3)."""
+"""Monte-Carlo smoothing of a step response (Wang, Micro motion actuator of compliant mechanism, section 4.2).
+
+Equation 17 is fitted to a measured step response by random search; least squares on the measured and on the smoothed response then give
+difference equations of several numerators (equations 18 and 19, Table 3). A procedure of this paper alone: for a record of one's own
+`greybox.blackbox.output_error` finds the same response without intervals, and a delay too.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.signal import welch
 
 from greybox.base.errors import DataError, nearest
-from greybox.base.findings import Finding, Severity
-from greybox.base.numerics import NEGLIGIBLE_JUMP
-from greybox.base.values import Printable
 from greybox.comparison.blackbox.arx import arx
 from greybox.comparison.blackbox.linear_regression import SampledData, to_sampled_data
-from greybox.comparison.blackbox.polynomial import BlackBoxFinding, InitialChoice, PolynomialModel
+from greybox.comparison.blackbox.polynomial import InitialChoice, PolynomialModel
 from greybox.comparison.blackbox.rounding import ContinuousTransferFunction
 from greybox.data.experiment import Experiment
 
@@ -303,7 +304,6 @@ def _grams(time: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: np.ndarray) ->
 # What Monte-Carlo smoothing finds: equation 17, as a step response, as a difference equation, and in the s-domain.
 
 SYMBOLS = {"amplitude": "A", "ratio": "r", "phase": "theta", "frequency": "w", "decay": "sigma"}
-KIND = "monte-carlo smoothing"
 
 
 @dataclass(frozen=True)
@@ -320,12 +320,12 @@ class SmoothingRound:
 
 
 @dataclass(frozen=True, eq=False)
-class MonteCarloSmoothing(Printable):
+class MonteCarloSmoothing:
     """A step response ``yhat(t) = A {1 - r e^(-sigma t) sin(w t + theta)}`` after a step of ``height``, and the model behind it.
 
     ``best`` holds the five constants and the mean square error (equation 1) over ``samples`` rows after the step. ``rounds`` are
-    the evaluations (none for constants from elsewhere), ``specification`` the error that was asked for. `simulate`, `predict` and
-    the rest are those of ``model``, its exact difference equation for a held input.
+    the evaluations (none for constants from elsewhere), ``specification`` the error that was asked for. `simulate` is that of
+    ``model``, its exact difference equation for a held input.
     """
 
     output: str
@@ -400,7 +400,7 @@ class MonteCarloSmoothing(Printable):
         # The last one from the final value: B(1) / F(1) = A / height exactly.
         numbers[2] = b.amplitude / self.height * f.sum() - numbers[0] - numbers[1]
         return PolynomialModel(
-            KIND,
+            "monte-carlo smoothing",
             self.output,
             (self.input,),
             h,
@@ -413,87 +413,13 @@ class MonteCarloSmoothing(Printable):
             history="zero",
             focus="simulation",
             units=self.units,
-            findings=self.findings,
         )
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What one should know before trusting it."""
-        findings = []
-        if abs(self.jump) > NEGLIGIBLE_JUMP * abs(self.best.amplitude):
-            values = {
-                "jump": self.jump,
-                "unit": self.units.get(self.output, ""),
-                "delay": self.delay,
-                "samples": self.delay / self.sampling_time,
-            }
-            findings.append(Finding(BlackBoxFinding.SMOOTHING_FEEDTHROUGH, Severity.WARNING, self.output, values))
-        at_end = []
-        for axis in AXES if self.rounds else ():
-            low, high = getattr(self.rounds[-1].intervals, axis)
-            # Within the mean distance of the draws from an end: the best draw may be the outermost one.
-            gap = (high - low) / (getattr(self.draws, axis) + 1)
-            if not low + gap < getattr(self.best, axis) < high - gap:
-                at_end.append(SYMBOLS[axis])
-        if at_end:
-            values = {"constants": at_end}
-            findings.append(Finding(BlackBoxFinding.SMOOTHING_AT_INTERVAL_END, Severity.WARNING, values=values))
-        if self.met is False:
-            values = {"error": self.error, "specification": self.specification}
-            findings.append(Finding(BlackBoxFinding.SMOOTHING_ABOVE_SPECIFICATION, Severity.WARNING, values=values))
-        return tuple(findings)
-
-    kind = KIND
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The one input."""
-        return (self.input,)
-
-    @property
-    def label(self) -> str:
-        """What it is called in tables."""
-        return KIND
-
-    @property
-    def parameters(self) -> int:
-        """Number of constants."""
-        return len(AXES)
-
-    @property
-    def poles(self) -> np.ndarray:
-        """Poles in the z-plane (2,)."""
-        return self.model.poles
-
-    @property
-    def stable(self) -> bool:
-        """Whether both poles lie inside the unit circle."""
-        return self.model.stable
-
-    @property
-    def feedthrough(self) -> dict[str, float]:
-        """Direct share of the input in the output of the same row."""
-        return self.model.feedthrough
 
     def simulate(
         self, experiment: Experiment, *, initial: InitialChoice = "estimated", rows: int | None = None
     ) -> dict[str, np.ndarray]:
         """Free run, as `PolynomialModel.simulate`."""
         return self.model.simulate(experiment, initial=initial, rows=rows)
-
-    def predict(
-        self, experiment: Experiment, steps: int = 1, *, initial: InitialChoice = "estimated", rows: int | None = None
-    ) -> dict[str, np.ndarray]:
-        """Prediction, as `PolynomialModel.predict`: the free run, since equation 17 has no noise model."""
-        return self.model.predict(experiment, steps, initial=initial, rows=rows)
-
-    def errors(self, experiment: Experiment, *, initial: InitialChoice = "estimated") -> np.ndarray:
-        """One-step errors (N,), as `PolynomialModel.errors`."""
-        return self.model.errors(experiment, initial=initial)
-
-    def to_control(self) -> Any:
-        """A discrete `control.TransferFunction`."""
-        return self.model.to_control()
 
 
 # Order of the denominator, first and last lag of the numerator: the seven columns of Table 3.
@@ -560,9 +486,6 @@ def _fit_arx(
         return None, model, f"unstable, a pole of size {abs(model.poles[0]):.4g}"
     run = model.simulate(measured, initial="zero")[y]
     return float(np.mean((measured.outputs[y] - run) ** 2)), model, ""
-
-
-# Monte-Carlo smoothing of a step response (Wang, Micro motion actuator of compliant mechanism, section 4.2).
 
 
 @dataclass(frozen=True)
@@ -640,7 +563,7 @@ def monte_carlo_smoothing(
 
     Examples
     --------
-    >>> smoothing = gb.blackbox.monte_carlo_smoothing(record, seed=1)  # doctest: +SKIP
+    >>> smoothing = monte_carlo_smoothing(record, seed=1)  # doctest: +SKIP
     """
     if evaluations < 1 or adjustments < 0:
         raise DataError(f"{evaluations} evaluations, {adjustments} adjustments; give at least 1 and 0")
