@@ -145,7 +145,9 @@ def arx(
         raise DataError(f"unknown focus {focus!r}; {nearest(focus, get_args(FitFocus))}")
     data = to_sampled_data(experiments, output, inputs)
     orders = to_orders(data, nb, nk, na)
-    model = fit_arx(data, orders, history=history, offset=offset, passes=passes if focus == "simulation" else 0)
+    # Zeros before the record are a statement about the signals as they are.
+    data = data.scaled("mean" if offset and history != "zero" else "zero")
+    model = fit_arx(data, orders, history=history, offset=offset, passes=passes if focus == "simulation" else 0).from_zero()
     findings = (*find_weak_excitation(data, sum(orders.nb) + orders.na, orders.nb), *model.findings)
     return replace(model, units=dict(units or {}), findings=findings)
 
@@ -153,12 +155,13 @@ def arx(
 def fit_arx(
     data: SampledData, orders: Orders, *, history: RegressionHistory, offset: bool, passes: int = 0
 ) -> PolynomialModel:
-    """`arx` of these orders, with ``passes`` of the filter ``1 / A``."""
+    """`arx` of these orders for scaled data, with ``passes`` of the filter ``1 / A``."""
     model = _estimate(data, orders, history, offset, None)
     for _ in range(passes):
         # 1 / A of an unstable estimate would grow without bound; its mirror image has the same magnitude.
         model = _estimate(data, orders, history, offset, reflect_roots(model.a))
-    return replace(model, focus="simulation" if passes else "prediction", findings=find_instability(model))
+    focus = "simulation" if passes else "prediction"
+    return replace(model.in_units(data.scaling), focus=focus, findings=find_instability(model))
 
 
 def _estimate(

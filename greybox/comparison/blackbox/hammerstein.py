@@ -49,27 +49,38 @@ NonlinearityShape = Literal["polynomial", "piecewise"]
 
 @dataclass(frozen=True)
 class StaticNonlinearity:
-    """``v = sum_j weights[j] g_j(u)`` with ``v(0) = 0``.
+    """``v = sum_j weights[j] g_j(d)`` of the deviation ``d = u - origin``, with ``v = 0`` at the origin.
 
-    ``polynomial``: ``g_j = T_j(u / size) - T_j(0)`` with Chebyshev's ``T_j``, j = 1 ... . ``piecewise``: ``g_1 = u / size``, and a
-    kink at every knot, ``g_j = (max(u - knot, 0) - max(-knot, 0)) / size``. ``size`` is the largest input of the records, in its
-    unit.
+    ``polynomial``: ``g_j = T_j(d / size) - T_j(0)`` with Chebyshev's ``T_j``, j = 1 ... . ``piecewise``: ``g_1 = d / size``, and a
+    kink at every knot, ``g_j = (max(d - knot, 0) - max(-knot, 0)) / size``. ``size`` is the largest deviation in the records, and
+    it and the ``knots`` are in the input's unit.
     """
 
     shape: NonlinearityShape
     size: float
     weights: tuple[float, ...]
     knots: tuple[float, ...] = ()
+    origin: float = 0.0
 
     def basis(self, u: np.ndarray) -> np.ndarray:
         """The functions (N, m) of the input ``u`` (N,)."""
+        d = u - self.origin
         if self.shape == "polynomial":
             degree = len(self.weights)
-            # Orthogonal on the range: powers of u are nearly collinear. T_j(0) is taken off so that nothing flows at
-            # zero.
-            return (chebvander(u / self.size, degree) - chebvander(np.zeros(1), degree))[:, 1:]
-        kinks = [np.maximum(u - k, 0.0) - max(-k, 0.0) for k in self.knots]
-        return np.column_stack([u, *kinks]) / self.size
+            # Orthogonal on the range: powers of d are nearly collinear. T_j(0) is taken off so that nothing flows at the origin.
+            return (chebvander(d / self.size, degree) - chebvander(np.zeros(1), degree))[:, 1:]
+        kinks = [np.maximum(d - k, 0.0) - max(-k, 0.0) for k in self.knots]
+        return np.column_stack([d, *kinks]) / self.size
+
+    def in_units(self, origin: float, size: float) -> StaticNonlinearity:
+        """The curve of numbers as that of the signal ``origin + size * number``: as large as before beside its input."""
+        return StaticNonlinearity(
+            self.shape,
+            self.size * size,
+            tuple(size * w for w in self.weights),
+            tuple(size * k for k in self.knots),
+            origin,
+        )
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """The curve's value (N,) at ``u`` (N,)."""
@@ -261,7 +272,10 @@ def hammerstein(
         )
     kind = "arx" if na else "output error"
     structure = make_structure(kind, data, nb=nb, nk=nk, na=na, nf=nf, offset=offset, refused_as="hammerstein")
-    return fit_hammerstein(structure, data, shape, basis_size, history, units, policy)
+    # Zeros before the record are a statement about the signals as they are.
+    data = data.scaled("mean" if offset and history != "zero" else "zero")
+    model = fit_hammerstein(structure, data, shape, basis_size, history, units, policy)
+    return replace(model, linear=model.linear.from_zero())
 
 
 def fit_hammerstein(
@@ -273,7 +287,7 @@ def fit_hammerstein(
     units: Mapping[str, str] | None = None,
     policy: PredictionErrorPolicy = DEFAULT_SEARCH,
 ) -> HammersteinModel:
-    """The model of this structure with nonlinearities of ``basis_size`` functions in front."""
+    """The model of this structure with nonlinearities of ``basis_size`` functions in front, for scaled data."""
     curves = tuple(
         make_linear_nonlinearity(shape, find_levels([r.signals[i] for r in data.records]), basis_size)
         for i in range(len(data.inputs))
@@ -415,4 +429,9 @@ def _finish(
         b.append(model.b[i] / scale)
     freedom = count - problem.size - best.errors.states
     linear = finish_model(replace(model, b=tuple(b)), best, count, max(freedom, 1), history, units)
-    return HammersteinModel(tuple(curves), linear)
+    scaling = data.scaling
+    _, *origins = scaling.origins
+    # Each curve is zero at the origin of its input.
+    linear = replace(linear.in_units(scaling), origins=(scaling.origins[0], *(0.0 for _ in origins)))
+    in_units = zip(curves, origins, scaling.sizes[1:], strict=True)
+    return HammersteinModel(tuple(curve.in_units(origin, size) for curve, origin, size in in_units), linear)

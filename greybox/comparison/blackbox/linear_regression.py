@@ -134,20 +134,80 @@ class BlockDelay:
         return self.held[self.longest - by : len(self.held) - by]
 
 
+Origin = Literal["zero", "mean", "rest"]
+"""What signals are measured from: zero; their mean over the records; or, of records that begin at rest, what was before them."""
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Each signal as ``origin + size * number``, the output first: fits see the numbers, and units and operating points do not count."""
+
+    origins: tuple[float, ...]
+    sizes: tuple[float, ...]
+
+    @classmethod
+    def of(cls, signals: Sequence[Sequence[np.ndarray]], origins: Sequence[float]) -> Scaling:
+        """That of ``signals``, each an array (N,) a record, NaN in gaps; the size is the root mean square about the origin."""
+        sizes = []
+        for records, origin in zip(signals, origins, strict=True):
+            deviations = [values[np.isfinite(values)] - origin for values in records]
+            count = sum(map(len, deviations))
+            # The largest is taken out first: squares of 1e-200 would be zero.
+            largest = max((float(np.abs(d).max(initial=0.0)) for d in deviations), default=0.0) or 1.0
+            sizes.append(largest * np.sqrt(sum(float(np.sum((d / largest) ** 2)) for d in deviations) / max(count, 1)))
+        return cls(tuple(map(float, origins)), tuple(float(size) or 1.0 for size in sizes))
+
+    def apply(self, position: int, values: np.ndarray) -> np.ndarray:
+        """The numbers (N, ...) of the signal at this ``position``."""
+        return (values - self.origins[position]) / self.sizes[position]
+
+
 @dataclass(frozen=True, eq=False)
 class SampledData:
-    """One output and its inputs over several ``experiments`` of the same sampling time, each a `SampledRecord`."""
+    """One output and its inputs over several ``experiments`` of the same sampling time, each a `SampledRecord` under a ``scaling``."""
 
     output: str
     inputs: tuple[str, ...]
     sampling_time: float
     records: tuple[SampledRecord, ...]
     experiments: tuple[Experiment, ...]
+    scaling: Scaling
 
     @property
     def measured(self) -> int:
         """Number of measured values of the output over all records."""
         return int(sum(np.isfinite(s.y).sum() for s in self.records))
+
+    def scaled(self, origin: Origin) -> SampledData:
+        """The same data, of signals as they were recorded, measured from an ``origin`` in units of their own movement."""
+        signals = [[r.y for r in self.records], *([r.signals[i][:] for r in self.records] for i in range(len(self.inputs)))]
+        if origin == "zero":
+            origins = [0.0] * len(signals)
+        elif origin == "mean":
+            origins = [find_mean(records) for records in signals]
+        else:
+            # At rest the output stayed at its first reading, and each input at what it was before: zero where the record does not say.
+            first = [float(r.y[np.argmax(np.isfinite(r.y))]) for r in self.records]
+            before = self.experiments[0].before
+            origins = [float(np.mean(first)), *(float(before[n][-1]) if n in before else 0.0 for n in self.inputs)]
+        scaling = Scaling.of(signals, origins)
+        records = tuple(
+            replace(
+                r,
+                y=scaling.apply(0, r.y),
+                signals=tuple(scaling.apply(i, signal[:]) for i, signal in enumerate(r.signals, 1)),
+            )
+            for r in self.records
+        )
+        return replace(self, records=records, scaling=scaling)
+
+
+def find_mean(records: Sequence[np.ndarray]) -> float:
+    """Mean of a signal over its records, NaN in gaps; of one that never moves its value to the bit."""
+    low, high = min(float(np.nanmin(v)) for v in records), max(float(np.nanmax(v)) for v in records)
+    if low == high:
+        return low
+    return sum(float(np.nansum(v)) for v in records) / sum(int(np.isfinite(v).sum()) for v in records)
 
 
 def to_sampled_record(
@@ -209,7 +269,8 @@ def to_sampled_data(
         raise DataError(
             f"experiments of different sampling times: {listing}; a difference equation is valid for one sampling time; resample them"
         )
-    return SampledData(wanted, names, steps[0], tuple(records), tuple(measured))
+    as_recorded = Scaling((0.0,) * (1 + len(names)), (1.0,) * (1 + len(names)))
+    return SampledData(wanted, names, steps[0], tuple(records), tuple(measured), as_recorded)
 
 
 def delay_rows(values: np.ndarray, by: int) -> np.ndarray:

@@ -21,6 +21,7 @@ from greybox.comparison.blackbox.linear_regression import (
     Orders,
     SampledData,
     SampledRecord,
+    Scaling,
     delay_rows,
     each_block,
     to_sampled_record,
@@ -92,7 +93,8 @@ class PolynomialModel(Printable):
     `transfer_function_coefficients`; None where they were not estimated. ``samples`` equations went into the estimate and ``loss``
     is the mean square
     of what it minimised (the one-step error; for ``simulation`` focus the prefiltered one). ``history`` and ``focus`` say how the
-    rows were made, ``units`` name -> unit, ``findings`` what one should know before trusting it.
+    rows were made, ``units`` name -> unit, ``findings`` what one should know before trusting it. ``origins`` (1 + nu,) are what the output
+    and the inputs are measured from in the equation, in their units: zeros where nothing else is said.
     """
 
     kind: str
@@ -114,6 +116,7 @@ class PolynomialModel(Printable):
     focus: str = "prediction"
     units: Mapping[str, str] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    origins: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         def frozen(values: Any) -> np.ndarray:
@@ -125,6 +128,7 @@ class PolynomialModel(Printable):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "b", tuple(map(frozen, self.b)))
         object.__setattr__(self, "f", tuple(map(frozen, self.f or [ONE] * len(self.inputs))))
+        object.__setattr__(self, "origins", tuple(self.origins) or (0.0,) * (1 + len(self.inputs)))
 
     @property
     def label(self) -> str:
@@ -175,6 +179,47 @@ class PolynomialModel(Printable):
         c, d = (take(ONE, len(each) - 1) for each in (self.c, self.d))
         constant = None if self.constant is None else float(next(rest))
         return replace(self, a=a, b=b, f=f, c=c, d=d, constant=constant, covariance=None)
+
+    def in_units(self, scaling: Scaling) -> PolynomialModel:
+        """The equation of numbers as that of the signals that they are the ``scaling`` of."""
+        size, *sizes = scaling.sizes
+        gains = [size / each for each in sizes]
+        # b in output over input, the constant in the output; A, F, C and D are plain numbers.
+        factors = [1.0] * (len(self.a) - 1)
+        factors += [gain for gain, b, nk in zip(gains, self.b, self.nk, strict=True) for _ in b[nk:]]
+        factors += [1.0] * (sum(len(f) - 1 for f in self.f) + len(self.c) + len(self.d) - 2)
+        factors += [] if self.constant is None else [size]
+        return replace(
+            self,
+            b=tuple(gain * b for gain, b in zip(gains, self.b, strict=True)),
+            constant=None if self.constant is None else size * self.constant,
+            noise_std=size * self.noise_std,
+            covariance=None if self.covariance is None else self.covariance * np.outer(factors, factors),
+            loss=size**2 * self.loss,
+            origins=scaling.origins,
+        )
+
+    def from_zero(self) -> PolynomialModel:
+        """The same equation with its ``constant`` about zero: where no ``F`` divides them, of inputs too.
+
+        Behind an integrator in ``F`` an input's origin is a ramp, not a constant: there it stays.
+        """
+        if self.constant is None or not any(self.origins):
+            return self
+        y0, *inputs = self.origins
+        moved = [0.0 if len(f) > 1 else u0 for u0, f in zip(inputs, self.f, strict=True)]
+        # A (y - y0) = sum B (u - u0) + c: the constant about zero is c + A(1) y0 - sum B(1) u0.
+        shift = y0 * self.a.sum() - sum(u0 * b.sum() for u0, b in zip(moved, self.b, strict=True))
+        covariance = self.covariance
+        if covariance is not None:
+            # d constant / d a_j = y0, d constant / d b_j = -u0
+            slopes = [y0] * (len(self.a) - 1)
+            slopes += [-u0 for u0, b, nk in zip(moved, self.b, self.nk, strict=True) for _ in b[nk:]]
+            jacobian = np.eye(len(covariance))
+            jacobian[-1, : len(slopes)] = slopes
+            covariance = jacobian @ covariance @ jacobian.T
+        kept = (u0 - by for u0, by in zip(inputs, moved, strict=True))
+        return replace(self, constant=self.constant + shift, covariance=covariance, origins=(0.0, *kept))
 
     @property
     def model(self) -> PlantModel:
@@ -230,13 +275,14 @@ class PolynomialModel(Printable):
     ) -> dict[str, np.ndarray]:
         """Free run over the inputs of ``experiment``: ``{output: (N,)}``; no measured output is used beyond the initial state.
 
-        ``initial``: ``"zero"``, everything was zero before the first row; ``"measured"``, the first rows as measured, as many as
+        ``initial``: ``"zero"``, every signal was at its origin before the first row; ``"measured"``, the first rows as measured, as many as
         the model has states; ``"estimated"``, the state that fits the first ``rows`` rows best (None: all rows).
 
         Raises DataError for an experiment of another sampling time, without an input, or without the measurements that
         ``initial`` needs. The run of an unstable model grows, up to infinity.
         """
-        return {self.output: simulate_free_run(self, self._to_record(experiment, initial), initial, rows)}
+        run = simulate_free_run(self, self._to_record(experiment, initial), initial, rows)
+        return {self.output: self.origins[0] + run}
 
     def predict(
         self, experiment: Experiment, steps: int = 1, *, initial: InitialChoice = "estimated", rows: int | None = None
@@ -249,7 +295,8 @@ class PolynomialModel(Printable):
         """
         if steps < 1:
             raise DataError(f"steps ahead: {steps}; give a whole number from 1")
-        return {self.output: predict_ahead(self, self._to_record(experiment, "measured"), steps, initial, rows)[0]}
+        ahead, _ = predict_ahead(self, self._to_record(experiment, "measured"), steps, initial, rows)
+        return {self.output: self.origins[0] + ahead}
 
     def errors(self, experiment: Experiment, *, initial: InitialChoice = "estimated") -> np.ndarray:
         """One-step prediction errors ``e`` (N,), NaN in gaps and where ``initial="measured"`` has no history."""
@@ -273,6 +320,10 @@ class PolynomialModel(Printable):
 
     def _to_record(self, experiment: Experiment, initial: InitialChoice) -> SampledRecord:
         record = to_sampled_record(experiment, self.output, self.inputs, need_output=initial != "zero")
+        if any(self.origins):
+            y0, *inputs = self.origins
+            signals = tuple(signal[:] - u0 for signal, u0 in zip(record.signals, inputs, strict=True))
+            record = replace(record, y=record.y - y0, signals=signals)
         if not np.isclose(record.sampling_time, self.sampling_time, rtol=numerics.SAME_SAMPLING_TIME):
             raise DataError(
                 f"experiment {experiment.name!r} is sampled every {record.sampling_time:.6g} s, but {self.label} of"
@@ -355,7 +406,7 @@ class PolynomialPlant:
         if past.any():
             with np.errstate(over="ignore", invalid="ignore"):
                 _add_past(equation, y, lambda _: past)
-        return {equation.output: y}
+        return {equation.output: equation.origins[0] + y}
 
 
 def _format_orders(value: Any) -> str:

@@ -74,8 +74,8 @@ class PredictionErrorPolicy:
             negligible_decrease=1e-12, perfect_noise_ratio=0.0, patience=1, little_gain=1e-12
         )
     )
-    """When a search ends: a millionth of a standard deviation gives the coefficients their digits. The errors are in the output's unit, so
-    that none is small by itself."""
+    """When a search ends: a millionth of a standard deviation gives the coefficients their digits. No error is small by itself: exact records
+    are followed to the last digit."""
     damped: GaussNewtonPolicy = field(
         default_factory=lambda: GaussNewtonPolicy(initial_damping=1e-4, max_rejections=10, max_kink_steps=100)
     )
@@ -165,7 +165,7 @@ def fit_prediction_error(
     units: Mapping[str, str] | None = None,
     policy: PredictionErrorPolicy = DEFAULT_SEARCH,
 ) -> PolynomialModel:
-    """The best minimum from the best of the starts that ``estimate_starts`` makes.
+    """The best minimum from the best of the starts that ``estimate_starts`` makes, for scaled data.
 
     Raises DataError where there are too few rows or the columns are collinear.
     """
@@ -182,7 +182,8 @@ def fit_prediction_error(
     refuse_collinear(best.errors, list(model.coefficients), label)
     freedom = count - structure.size - best.errors.states
     covariance = estimate_coefficient_covariance(best.errors, freedom)
-    return replace(finish_model(model, best, count, freedom, history, units or {}), covariance=covariance)
+    finished = replace(finish_model(model, best, count, freedom, history, units or {}), covariance=covariance)
+    return finished.in_units(data.scaling)
 
 
 def check_history(history: str) -> None:

@@ -233,7 +233,9 @@ def _fit(
     prediction_error.check_history(history)
     data = to_sampled_data(experiments, output, inputs)
     structure = make_structure(kind, data, **orders)
-    model = prediction_error.fit_prediction_error(structure, data, STARTS[kind], history, units, policy)
+    # Zeros before the record are a statement about the signals as they are.
+    data = data.scaled("mean" if structure.offset and history != "zero" else "zero")
+    model = prediction_error.fit_prediction_error(structure, data, STARTS[kind], history, units, policy).from_zero()
     # An input has to be exciting for its own coefficients, numerator and poles.
     needed = [nb + nf for nb, nf in zip(structure.orders.nb, structure.nf, strict=True)]
     weak = find_weak_excitation(data, structure.orders.na + sum(needed), needed)

@@ -318,6 +318,7 @@ def fit_structure(
     """The model of these ``orders``; ``at_rest``: all was zero before each record. Raises DataError where it cannot be fitted."""
     offset = bool(orders.get("offset", False))
     history: HistoryTreatment = "zero" if at_rest else "estimated"
+    data = data.scaled("rest" if at_rest else "mean" if offset else "zero")
     if kind == BlackBoxKind.ARX:
         arx_orders = to_orders(data, orders["nb"], orders["nk"], orders["na"], kind)
         passes = 1 if orders.get("focus") == "simulation" else 0
