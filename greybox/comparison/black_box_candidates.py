@@ -10,22 +10,17 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import SAME_SAMPLING_TIME, TINY
-from greybox.comparison.blackbox.best_models import best_black_boxes
+from greybox.comparison.blackbox.best_models import best_black_boxes, hold_out
 from greybox.comparison.blackbox.resample import keep_measured_rows, match_sampling_time, resample
-from greybox.comparison.blackbox.subspace import WEIGHTS, StateSpaceModel, SubspaceOutput, subspace
+from greybox.comparison.blackbox.structure_scan import AS_GOOD, score_free_run
+from greybox.comparison.blackbox.subspace import StateSpaceModel, SubspaceOutput, scan_orders, subspace
 from greybox.comparison.compare import NamedModel
 from greybox.comparison.result import DEFAULT_COMPARISON, BlackBoxModel, ComparisonFinding, ComparisonPolicy
 from greybox.data.experiment import Experiment
-from greybox.estimation.errors import OutputScore
-from greybox.estimation.score import run_by_itself
 
 STATE_SPACE = "subspace"
 
 BlackBoxProgress = Callable[[str, int, int], None]
-
-
-# Share of its range by which an output may begin away from zero and still count as at rest.
-REST_SHARE = 0.1
 
 
 def fit_black_boxes(
@@ -51,7 +46,7 @@ def fit_black_boxes(
     outputs, inputs
         Names of the signals.
     at_rest
-        Everything was zero before each record. It is not assumed where an output begins elsewhere.
+        The plant rests before each record, as of `best_black_boxes`.
     units
         Name of a signal -> unit.
     report
@@ -79,11 +74,15 @@ def fit_black_boxes(
 
         records, sparse = _select_rows(regular, output)
         findings += sparse
-        # Zeros before a record that begins elsewhere would be an input that never was.
-        rest = at_rest and not any(_begins_elsewhere(record.outputs[output]) for record in records)
         try:
             scans = best_black_boxes(
-                records, output=output, inputs=inputs, at_rest=rest, units=units, report=report_kind, policy=policy.scan
+                records,
+                output=output,
+                inputs=inputs,
+                at_rest=at_rest,
+                units=units,
+                report=report_kind,
+                policy=policy.scan,
             )
         except DataError as error:
             findings.append(Finding(ComparisonFinding.NO_BLACK_BOX, Severity.WARNING, output, {"reason": str(error)}))
@@ -101,12 +100,6 @@ def fit_black_boxes(
             seconds[STATE_SPACE] = time.perf_counter() - began
     named = tuple(NamedModel(name, tuple(boxes), seconds[name]) for name, boxes in models.items())
     return named, tuple(findings)
-
-
-def _begins_elsewhere(y: np.ndarray) -> bool:
-    """Whether an output (N,) that was measured somewhere begins away from zero."""
-    first = y[np.argmax(np.isfinite(y))]
-    return bool(abs(first) > REST_SHARE * (np.nanmax(y) - np.nanmin(y)))
 
 
 def check_sampling_times(
@@ -159,17 +152,21 @@ def _select_rows(records: Sequence[Experiment], output: str) -> tuple[tuple[Expe
 def _identify_state_space(
     records: Sequence[Experiment], outputs: Sequence[str], inputs: Sequence[str]
 ) -> tuple[tuple[SubspaceOutput, ...], list[Finding]]:
-    """One model of every input and output: with the weights, N4SID's or CVA's, whose free run follows the records better."""
-    try:
-        models = [subspace(records, outputs=outputs, inputs=inputs, weight=weight) for weight in WEIGHTS]
-    except DataError as error:
-        values = {"reason": str(error)}
-        return (), [Finding(ComparisonFinding.NO_STATE_SPACE, Severity.NOTE, "", values)]
+    """One model of every input and output: of the order and weights whose free run follows rows that it was not fitted to best."""
+    estimation, validation, skip = hold_out(records, outputs, inputs)
+    judged = validation or estimation
 
     def measure(model: StateSpaceModel) -> float:
         """Mean square of the free run's error over that of the outputs' movement; infinite for a run that overflows."""
-        scores = [OutputScore.of([run for r in records for run in run_by_itself(box, r)]) for box in model.boxes()]
+        scores = [score_free_run(box, judged, skip, validation=bool(validation)) for box in model.boxes()]
         return sum((s.rmse / max(s.movement, TINY)) ** 2 for s in scores)
 
-    # The free run decides, as it does in the comparison.
-    return min(models, key=measure).boxes(), []
+    try:
+        tried = [(measure(model), model) for model in scan_orders(estimation, outputs, inputs)]
+        # As of a difference equation: of those that run equally well the smallest.
+        limit = (1 + AS_GOOD) ** 2 * min(error for error, _ in tried)
+        chosen = min((m for error, m in tried if error <= limit), key=lambda m: m.order)
+        best = subspace(records, chosen.order, outputs=outputs, inputs=inputs, weight=chosen.weight)
+    except DataError as error:
+        return (), [Finding(ComparisonFinding.NO_STATE_SPACE, Severity.NOTE, "", {"reason": str(error)})]
+    return best.boxes(), []

@@ -13,6 +13,7 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity, with_code
 from greybox.base.numerics import INTEGRATING_POLE
+from greybox.comparison.blackbox.polynomial import InitialChoice
 from greybox.comparison.blackbox.resample import match_sampling_time
 from greybox.comparison.result import (
     DEFAULT_COMPARISON,
@@ -62,7 +63,7 @@ def judge_comparison(comparison: Comparison) -> tuple[Finding, ...]:
         if (finding := _find_best(comparison, output, measure)) is not None
     ]
     # What to keep in mind of the others.
-    entries = comparison.entries
+    entries = comparison.standing
     outputs = {e.name: sorted(e.training) for e in entries if np.isfinite(e.bic)}
     failed = [e.name for e in entries if with_code(e.findings, ComparisonFinding.FIT_FAILED)]
     remarks: list[tuple[ComparisonFinding, dict[str, Any]]] = [
@@ -73,6 +74,7 @@ def judge_comparison(comparison: Comparison) -> tuple[Finding, ...]:
             {"outputs": outputs if len({*map(tuple, outputs.values())}) > 1 else {}},
         ),
         (ComparisonFinding.FAILED_FITS, {"models": failed}),
+        (ComparisonFinding.FAILED_MODELS, {"models": [e.name for e in comparison.entries if e.failed_outputs]}),
     ]
     return (
         *findings,
@@ -86,7 +88,7 @@ EQUALLY_GOOD = 0.02
 
 def _find_best(comparison: Comparison, output: str, measure: str) -> Finding | None:
     ranked = []
-    for entry in comparison.entries:
+    for entry in comparison.standing:
         scores = comparison.deciding_scores(entry)
         if output in scores and np.isfinite(error := getattr(scores[output], MEASURES[measure])):
             ranked.append((error, entry))
@@ -358,7 +360,7 @@ COMPARISON_INITIAL_ROWS = 50
 def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
     """Black boxes of one output each, every record on the time grid that each was identified at.
 
-    The initial state comes from all rows of an estimation record, and from the first rows of another; at rest all was zero before.
+    The initial state comes from all rows of an estimation record, and from the first rows of another, or it is rest.
     """
     model = named.model
     boxes: tuple[BlackBoxModel, ...] = tuple(model) if isinstance(model, Sequence) else (model,)  # type: ignore[assignment]
@@ -371,7 +373,7 @@ def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
             # Rows count in the record as it was given: one resampled has others for the same time.
             rows = setup.beginning or setup.skip or COMPARISON_INITIAL_ROWS
             begin = {
-                "initial": "zero" if setup.at_rest else "estimated",
+                "initial": _choose_beginning(box, record, setup.at_rest),
                 "rows": None if training else max(1, round(record.rows / experiment.rows * rows)),
             }
             first_time = experiment.time[min(setup.skip, experiment.rows - 1)]
@@ -394,12 +396,43 @@ def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
     )
 
 
+# Share of its range by which an output may begin away from where a model rests.
+REST_SHARE = 0.1
+
+
+def _choose_beginning(box: BlackBoxModel, record: Experiment, at_rest: bool) -> InitialChoice:
+    """Rest is a statement about states, not about zero: a box that was fitted from rest begins there if the record does."""
+    if not at_rest or getattr(box, "history", "") != "zero":
+        return "estimated"
+    y = record.outputs[box.output]
+    away = y[np.argmax(np.isfinite(y))] - getattr(box, "rest", 0.0)
+    return "zero" if abs(away) <= REST_SHARE * (np.nanmax(y) - np.nanmin(y)) else "estimated"
+
+
 def _run_box(box: BlackBoxModel, record: Experiment, begin: Mapping[str, Any]) -> np.ndarray:
     return box.simulate(record, **begin)[box.output]
 
 
 def _predict_box(box: BlackBoxModel, record: Experiment, begin: Mapping[str, Any], steps: int) -> np.ndarray:
     return box.predict(record, steps=steps, **begin)[box.output]
+
+
+# A free run over a record for validation that errs by so many times the output's movement has left it: no error worth a comparison.
+DIVERGING_ERROR = 10.0
+
+
+def find_failures(training: Mapping[str, ComparisonScore], validation: Mapping[str, ComparisonScore]) -> list[Finding]:
+    """A finding for each output that a constant follows better on the estimation records, or from which a validation run goes away."""
+    groups = (
+        (ComparisonFinding.WORSE_THAN_CONSTANT, training, 1 + EQUALLY_GOOD),
+        (ComparisonFinding.DIVERGED, validation, DIVERGING_ERROR),
+    )
+    return [
+        Finding(code, Severity.WARNING, output, {"error": s.rmse, "movement": s.movement, "unit": s.unit})
+        for code, scores, limit in groups
+        for output, s in scores.items()
+        if s.samples and not s.rmse <= limit * s.movement
+    ]
 
 
 def _assemble_entry(
@@ -436,6 +469,7 @@ def _assemble_entry(
             # Outputs have their own noise: N ln V each, one price p ln N for all parameters.
             misfit = sum(s.samples * np.log(s.rmse**2) for s in training.values() if s.samples)
         bic = float(misfit + parameters * np.log(count))
+    findings = [*findings, *find_failures(training, validation)]
     return ComparisonEntry(
         named.name,
         kind,

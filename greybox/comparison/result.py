@@ -33,6 +33,8 @@ class ComparisonFinding(StrEnum):
     """Models whose BIC sums over different outputs."""
     FAILED_FITS = "compared_fits_failed"
     """Models whose fit did not succeed."""
+    FAILED_MODELS = "compared_models_failed"
+    """Models that follow their records worse than a constant."""
     FIT_FAILED = "compared_fit_failed"
     """The fit of this model did not succeed."""
     PREDICTION_FILTER = "compared_prediction_filter"
@@ -43,6 +45,10 @@ class ComparisonFinding(StrEnum):
     """No state-space model of all inputs and outputs could be identified."""
     RECORD_RESAMPLED = "compared_record_resampled"
     """A record was resampled for the black boxes."""
+    WORSE_THAN_CONSTANT = "compared_worse_than_constant"
+    """A model that errs by more than a constant does, on the records that it was fitted to: it failed."""
+    DIVERGED = "compared_diverged"
+    """A model whose free run leaves a record for validation far behind: it failed."""
     MEASURED_ROWS_ONLY = "compared_measured_rows_only"
     """Black boxes use the rows at which a slow sensor was read."""
 
@@ -91,6 +97,10 @@ class BlackBoxModel(Protocol):
     @property
     def stable(self) -> bool:
         """Whether every pole lies inside the unit circle."""
+
+    @property
+    def history(self) -> str:
+        """``zero`` where it was fitted from rest."""
 
     @property
     def feedthrough(self) -> Mapping[str, float]:
@@ -189,6 +199,22 @@ class ComparisonEntry:
         kind parameters structure validation training records bic stable feedthrough seconds notes=str(findings) findings
         """
 
+    @property
+    def failed_outputs(self) -> frozenset[str]:
+        """Outputs that it follows worse than a constant: they take no part in what is said and drawn of models."""
+        codes = (ComparisonFinding.WORSE_THAN_CONSTANT, ComparisonFinding.DIVERGED)
+        return frozenset(finding.subject for finding in self.findings if finding.code in codes)
+
+    @property
+    def failed(self) -> bool:
+        """Whether no output is left."""
+        return bool(self.failed_outputs) and self.failed_outputs >= {*self.training, *self.validation}
+
+    def score(self, output: str, group: str = "", record: str = "") -> ComparisonScore | None:
+        """That of an ``output`` on the records of a ``group``, or on one ``record``; None where there is none or it failed."""
+        scores: Mapping[str, ComparisonScore] = getattr(self, group) if group else self.records.get(record, {})
+        return None if output in self.failed_outputs else scores.get(output)
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Printable):
@@ -238,6 +264,11 @@ class Comparison(Printable):
         return {entry.name: entry for entry in self.entries}
 
     @property
+    def standing(self) -> tuple[ComparisonEntry, ...]:
+        """The models that did not fail in every output."""
+        return tuple(entry for entry in self.entries if not entry.failed)
+
+    @property
     def all_findings(self) -> tuple[Finding, ...]:
         """The verdict, and what could not be compared."""
         return (*self.verdict, *self.findings)
@@ -249,7 +280,8 @@ class Comparison(Printable):
 
     def deciding_scores(self, entry: ComparisonEntry) -> Mapping[str, ComparisonScore]:
         """The scores that decide: on the validation records, or on the estimation records where there are no others."""
-        return entry.validation if self.validation else entry.training
+        scores = entry.validation if self.validation else entry.training
+        return {output: score for output, score in scores.items() if output not in entry.failed_outputs}
 
 
 # A comparison as JSON: ``compare.json``.

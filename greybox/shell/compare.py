@@ -39,9 +39,9 @@ def compare(study: Study) -> Answer:
     """Fit MODEL and black-box models to the same records, and compare their errors on validation records.
 
     The black boxes are ARX, ARMAX, output error, Box-Jenkins and Hammerstein models, each chosen by a scan over orders, delays
-    and offset; and a state-space model by subspace projection where there are several inputs or outputs. Prints the errors of
-    the free run and one sample ahead, best fit, number of parameters, BIC, stability, feed-through and time, and the best model with its margin. Writes
-    DIR/compare.json and DIR/report.html, a report for the browser.
+    and its beginning; and a state-space model by subspace projection where there are several inputs or outputs. Prints the errors
+    of the free run and one sample ahead, best fit, number of parameters, BIC, stability, feed-through and time, and the best model
+    with its margin. Writes DIR/compare.json and DIR/report.html, a report for the browser.
 
     greybox compare study.toml runs a study file; --write-study writes one from these options.
 

@@ -99,6 +99,10 @@ def compared(model, records):
         "oe": gb.blackbox.output_error(train, nb=2, nf=2, history="zero"),
         "unstable": gb.blackbox.PolynomialModel("arx", "y", ("F",), STEP, (0,), ([0.1],), a=[1, -1.9], samples=100),
     }
+    # The same output error behind a pole outside the circle that a zero hides, and with a little of the input at once.
+    hidden, oe = [1.0, -1.01], models["oe"]
+    b = np.convolve(oe.b[0] + [1e-4, 0.0, 0.0], hidden)
+    models["hidden"] = gb.blackbox.PolynomialModel("arx", "y", ("F",), STEP, (0,), (b,), a=np.convolve(oe.f[0], hidden))
     return models, gb.compare(models, judges, training=train, skip=20, steps=[3])
 
 
@@ -164,9 +168,9 @@ def test_criteria_stability_and_feed_through(records, compared):
     for entry in (found["physics"], found["oe"], found["arx"]):
         square = entry.training["y"].rmse ** 2
         assert entry.bic == pytest.approx(160 * np.log(square) + entry.parameters * np.log(160))
-    assert [found[n].parameters for n in found.names] == [2, 4, 4, 2]
-    assert [found[n].kind for n in found.names] == ["grey", "black", "black", "black"]
-    assert [found[n].stable for n in found.names] == [True, True, True, False]
+    assert [found[n].parameters for n in found.names] == [2, 4, 4, 2, 7]
+    assert [found[n].kind for n in found.names] == ["grey", "black", "black", "black", "black"]
+    assert [found[n].stable for n in found.names] == [True, True, True, False, False]
     assert found["unstable"].feedthrough == {"y/F": 0.1} and not found["physics"].feedthrough
     assert found.training == (train.name,) and found.validation == ("first", "second")
     best = with_code(found.verdict, ComparisonFinding.BEST_MODEL)
@@ -175,7 +179,9 @@ def test_criteria_stability_and_feed_through(records, compared):
     assert best[0].values["error"] == found["physics"].validation["y"].rmse
     for code in (ComparisonFinding.UNSTABLE_MODELS, ComparisonFinding.FEEDTHROUGH_MODELS):
         (remark,) = with_code(found.verdict, code)
-        assert remark.values["models"] == ["unstable"]
+        assert remark.values["models"] == ["hidden"]
+    (failed,) = with_code(found.verdict, ComparisonFinding.FAILED_MODELS)
+    assert failed.values["models"] == ["unstable"] and found["unstable"].failed
 
 
 def test_criteria_over_different_outputs_are_not_compared():
@@ -184,7 +190,7 @@ def test_criteria_over_different_outputs_are_not_compared():
     twin = gb.Experiment(
         "twin", time, {"u": u}, {n: lfilter([0.3], [1, -0.6], u) + 0.01 * rng.normal(size=80) for n in "yz"}
     )
-    first, second = (gb.blackbox.arx(twin, na=1, nb=1, output=n) for n in "yz")
+    first, second = (gb.blackbox.arx(twin, na=1, nb=1, nk=0, output=n) for n in "yz")
     code = ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS
     (remark,) = with_code(gb.compare({"a": first, "b": second}, twin, training=twin).verdict, code)
     assert remark.values["outputs"] == {"a": ["y"], "b": ["z"]}
@@ -210,6 +216,8 @@ def test_a_run_that_leaves_all_bounds_is_said_and_drawn(compared, tmp_path):
     long = record(8, 2500, "long")
     found = gb.compare({"physics": models["physics"], "unstable": models["unstable"]}, long, skip=20)
     assert np.isinf(found["unstable"].validation["y"].rmse)
+    assert found["unstable"].failed and [e.name for e in found.standing] == ["physics"]
+    assert with_code(found.verdict, ComparisonFinding.FAILED_MODELS)[0].values["models"] == ["unstable"]
     saved = json.loads(save_comparison(found, tmp_path / "compare.json").read_text())
     assert saved["models"]["unstable"]["validation"]["y"]["rmse"] is None
     (figure,) = draw_comparison(found, tmp_path)

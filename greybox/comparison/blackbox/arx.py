@@ -147,7 +147,9 @@ def arx(
     orders = to_orders(data, nb, nk, na)
     # Zeros before the record are a statement about the signals as they are.
     data = data.scaled("mean" if offset and history != "zero" else "zero")
-    model = fit_arx(data, orders, history=history, offset=offset, passes=passes if focus == "simulation" else 0).from_zero()
+    model = fit_arx(
+        data, orders, history=history, offset=offset, passes=passes if focus == "simulation" else 0
+    ).from_zero()
     findings = (*find_weak_excitation(data, sum(orders.nb) + orders.na, orders.nb), *model.findings)
     return replace(model, units=dict(units or {}), findings=findings)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.comparison.blackbox.hammerstein import find_levels
-from greybox.comparison.blackbox.linear_regression import SampledData, to_sampled_data
+from greybox.comparison.blackbox.linear_regression import Origin, SampledData, to_sampled_data
 from greybox.comparison.blackbox.structure_scan import (
     DEFAULT_SCAN,
     BlackBoxKind,
@@ -48,9 +48,9 @@ def best_black_boxes(
     """Find the best model of each kind for one output, each by a scan of its own, and fit it to all the records.
 
     Of several records the last third validates by its free-run error; of a single one its last 30 %, if an input still moves
-    there; else (a step that has settled) the free run over the record itself. ARX models are scanned with and without offset, with
-    prediction and with simulation focus, over up to six poles and the delays around the best; the others start from the delay and
-    offset found there.
+    there; else (a step that has settled) the free run over the record itself. ARX models are scanned with prediction and with simulation
+    focus, over up to six poles and the delays around the best; the others start from the delay found there. Signals are measured from
+    their means, or from where they rest before a record. An input that never moves is left out.
 
     Parameters
     ----------
@@ -63,7 +63,8 @@ def best_black_boxes(
     kinds
         Which of ``arx``, ``armax``, ``output error``, ``box-jenkins``, ``hammerstein``.
     at_rest
-        Everything was zero before each record.
+        The plant rests before each record: its output at the first reading, each input at what it was before (`Experiment.before`; zero
+        where the record does not say). Models that begin so compete with those whose first state is estimated.
     units
         Name of a signal -> unit.
     report
@@ -87,7 +88,9 @@ def best_black_boxes(
     >>> print(scans["arx"])  # doctest: +SKIP
     """
     whole = to_sampled_data(experiments, output, inputs)
-    estimation, validation, skip = _split(whole)
+    moving = find_moving_inputs(whole, at_rest)
+    whole = to_sampled_data(whole.experiments, whole.output, moving)
+    estimation, validation, skip = hold_out(whole.experiments, (whole.output,), whole.inputs)
     data = to_sampled_data(estimation, whole.output, whole.inputs)
     scans: dict[BlackBoxKind, StructureScan] = {}
     reason = "no kinds asked for"
@@ -108,7 +111,6 @@ def best_black_boxes(
                 data,
                 kind,
                 choices,
-                at_rest=at_rest,
                 validation=validation,
                 skip=skip,
                 units=units,
@@ -131,19 +133,35 @@ HOLDOUT_EXCITATION = 0.3
 HOLDOUT_VALUES = 60
 
 
-def _split(data: SampledData) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...], int]:
+def find_moving_inputs(data: SampledData, at_rest: bool) -> list[str]:
+    """The inputs that move within the records; where none does, those that stepped as the records began from rest.
+
+    Raises DataError where there is none either.
+    """
+    origins: tuple[Origin, ...] = ("mean", "rest") if at_rest else ("mean",)
+    for origin in origins:
+        records = data.scaled(origin).records
+        moving = [name for i, name in enumerate(data.inputs) if any(np.any(r.signals[i][:]) for r in records)]
+        if moving:
+            return moving
+    raise DataError(
+        f"output {data.output!r}: no input ever moves ({', '.join(data.inputs)}); a black box needs one that does"
+    )
+
+
+def hold_out(
+    experiments: Sequence[Experiment], outputs: Sequence[str], inputs: Sequence[str]
+) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...], int]:
     """Estimation records, validation records, and how many first rows of these do not count; no validation records where only the
     estimation records themselves can serve."""
-    records = data.experiments
-    if len(records) > 1:
-        count = max(1, len(records) // 3)
-        return _shorten(records[:-count]), _shorten(records[-count:]), 0
-    (record,) = _shorten(records)
+    if len(experiments) > 1:
+        count = max(1, len(experiments) // 3)
+        return _shorten(experiments[:-count]), _shorten(experiments[-count:]), 0
+    (record,) = _shorten(experiments)
     cut = round((1 - HOLDOUT_SHARE) * record.rows)
-    measured = min(int(np.isfinite(part).sum()) for part in np.split(record.outputs[data.output], [cut]))
-    inputs = [record.inputs[name] for name in data.inputs]
+    measured = min(int(np.isfinite(part).sum()) for o in outputs for part in np.split(record.outputs[o], [cut]))
     # An end at rest would praise any model with the right gain.
-    moving = any(np.ptp(u[cut:]) > HOLDOUT_EXCITATION * np.ptp(u[:cut]) for u in inputs)
+    moving = any(np.ptp(u[cut:]) > HOLDOUT_EXCITATION * np.ptp(u[:cut]) for u in (record.inputs[n] for n in inputs))
     if measured < HOLDOUT_VALUES or not moving:
         return (record,), (), 0
     # The whole record is run, so that its end begins with the state that the run has there.
@@ -155,7 +173,7 @@ SCANNED_ROWS = 20000
 
 
 def _shorten(experiments: Sequence[Experiment]) -> tuple[Experiment, ...]:
-    """The first rows of each record, ``policy.scanned_rows`` in all."""
+    """The first rows of each record, `SCANNED_ROWS` in all."""
     share = min(1.0, SCANNED_ROWS / sum(e.rows for e in experiments))
     return tuple(e if share == 1 else e.window(0, max(2, int(share * e.rows))) for e in experiments)
 
@@ -168,26 +186,30 @@ def _choices(
     policy: StructureScanPolicy,
 ) -> Iterator[OrderChoice]:
     """What to scan of this kind, given the scans of the kinds before."""
+    # How a record begins, and with a constant or without: from rest a further constant would be a drift.
+    beginnings = [{"at_rest": False, "offset": True}]
+    if at_rest:
+        beginnings += [{"at_rest": True, "offset": False}, {"at_rest": True, "offset": True}]
     if kind == BlackBoxKind.ARX:
         # ARX is a linear problem: delays are cheap to try here, and the other kinds take them over.
         delay = _find_delay(data, at_rest)
         delays = sorted({*policy.first_delays, max(delay - 1, 0), delay, delay + 1})
-        for na, nk, offset in product(range(1, policy.largest_poles + 1), delays, (False, True)):
+        for na, nk, beginning in product(range(1, policy.largest_poles + 1), delays, beginnings):
             # Both ways of fitting: the one-step error favours noise models, the free run is what is judged.
             for nb, focus in product(sorted({1, 2, na, na + 1}), ("prediction", "simulation")):
-                yield {"na": na, "nb": nb, "nk": nk, "offset": offset, "focus": focus}
+                yield {"na": na, "nb": nb, "nk": nk, "focus": focus, **beginning}
         return
-    arx = scans[BlackBoxKind.ARX].chosen.orders if BlackBoxKind.ARX in scans else {"nk": 1, "offset": True}
-    nk, offsets = arx["nk"], sorted({True, arx["offset"]})
+    arx = scans[BlackBoxKind.ARX].chosen.orders if BlackBoxKind.ARX in scans else {"nk": 1, **beginnings[-1]}
+    nk, beginning = arx["nk"], {name: arx[name] for name in ("at_rest", "offset")}
     poles = range(1, policy.largest_searched_poles + 1)
     if kind == BlackBoxKind.ARMAX:
-        for n, delay, constant in product(poles, sorted({nk, 1}), offsets):
+        for n, delay in product(poles, sorted({nk, 1})):
             for nb, nc in product(sorted({1, n, n + 1}), sorted({1, n})):
-                yield {"na": n, "nb": nb, "nc": nc, "nk": delay, "offset": constant}
+                yield {"na": n, "nb": nb, "nc": nc, "nk": delay, **beginning}
     elif kind == BlackBoxKind.OUTPUT_ERROR:
-        for n, delay, constant in product(poles, sorted({nk, max(nk - 1, 0), 1}), offsets):
+        for n, delay in product(poles, sorted({nk, max(nk - 1, 0), 1})):
             for nb in sorted({1, n, n + 1}):
-                yield {"nb": nb, "nf": n, "nk": delay, "offset": constant}
+                yield {"nb": nb, "nf": n, "nk": delay, **beginning}
     elif BlackBoxKind.OUTPUT_ERROR in scans:
         linear = scans[BlackBoxKind.OUTPUT_ERROR].chosen.orders
         if kind == BlackBoxKind.BOX_JENKINS:
@@ -212,9 +234,9 @@ def _find_delay(data: SampledData, at_rest: bool) -> int:
     shortest = min(r.rows for r in data.records)
     least, delay = np.inf, 1
     for nk in range(min(LARGEST_DELAY, shortest // ROWS_PER_DELAY) + 1):
-        orders = {"na": 2, "nb": 2, "nk": nk, "offset": not at_rest, "focus": "prediction"}
+        orders = {"na": 2, "nb": 2, "nk": nk, "offset": not at_rest, "at_rest": at_rest}
         try:
-            model = fit_structure(data, BlackBoxKind.ARX, orders, at_rest=at_rest)
+            model = fit_structure(data, BlackBoxKind.ARX, orders)
         except DataError:
             continue  # such as two columns of a step; the scan itself says so
         loss = model.loss  # type: ignore[union-attr]  # an ARX model is a polynomial one

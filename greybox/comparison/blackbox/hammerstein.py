@@ -156,6 +156,16 @@ class HammersteinModel(Printable):
         )
 
     @property
+    def rest(self) -> float:
+        """That of ``linear``."""
+        return self.linear.rest
+
+    @property
+    def history(self) -> str:
+        """That of ``linear``."""
+        return self.linear.history
+
+    @property
     def parameters(self) -> int:
         """Number of estimated numbers; each curve's scale is not one."""
         return self.linear.parameters + sum(len(c.weights) - 1 for c in self.curves)

@@ -180,7 +180,10 @@ class SampledData:
 
     def scaled(self, origin: Origin) -> SampledData:
         """The same data, of signals as they were recorded, measured from an ``origin`` in units of their own movement."""
-        signals = [[r.y for r in self.records], *([r.signals[i][:] for r in self.records] for i in range(len(self.inputs)))]
+        signals = [
+            [r.y for r in self.records],
+            *([r.signals[i][:] for r in self.records] for i in range(len(self.inputs))),
+        ]
         if origin == "zero":
             origins = [0.0] * len(signals)
         elif origin == "mean":

@@ -252,6 +252,11 @@ class PolynomialModel(Printable):
         return bool(np.all(np.abs(self.poles) < 1))
 
     @property
+    def rest(self) -> float:
+        """The output before a record that begins at rest."""
+        return self.origins[0]
+
+    @property
     def feedthrough(self) -> dict[str, float]:
         """Direct share of each input in the output of the same row, ``B(q)`` at delay zero: 0 where ``nk`` is at least 1."""
         return {name: float(b[0]) for name, b in zip(self.inputs, self.b, strict=True)}

@@ -74,8 +74,8 @@ class PredictionErrorPolicy:
             negligible_decrease=1e-12, perfect_noise_ratio=0.0, patience=1, little_gain=1e-12
         )
     )
-    """When a search ends: a millionth of a standard deviation gives the coefficients their digits. No error is small by itself: exact records
-    are followed to the last digit."""
+    """When a search ends: a millionth of a standard deviation gives the coefficients their digits. No error is small by itself: exact
+    records are followed to the last digit."""
     damped: GaussNewtonPolicy = field(
         default_factory=lambda: GaussNewtonPolicy(initial_damping=1e-4, max_rejections=10, max_kink_steps=100)
     )

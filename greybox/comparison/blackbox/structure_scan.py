@@ -27,6 +27,7 @@ from greybox.comparison.blackbox.prediction_error_models import STARTS, make_str
 from greybox.data.experiment import Experiment, as_records
 from greybox.estimation.errors import OutputScore
 from greybox.estimation.optim.minimisation import TerminationPolicy
+from greybox.estimation.predictor import PredictingModel
 from greybox.estimation.score import run_by_itself
 
 
@@ -239,13 +240,12 @@ def scan_structures(
     }
     single = (bool, int, np.integer, str)
     axes = {n: [given[n]] if isinstance(given[n], single) else list(given[n]) for n in ORDERS_BY_KIND[kind]}
-    choices = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
+    choices = [dict(zip(axes, values, strict=True)) | {"at_rest": at_rest} for values in product(*axes.values())]
     data = to_sampled_data(experiments, output, inputs)
     return scan_choices(
         data,
         BlackBoxKind(kind),
         choices,
-        at_rest=at_rest,
         validation=validation,
         skip=skip,
         criterion=criterion,
@@ -260,7 +260,6 @@ def scan_choices(
     kind: BlackBoxKind,
     choices: Iterable[OrderChoice],
     *,
-    at_rest: bool,
     validation: Experiment | Sequence[Experiment] = (),
     skip: int = 0,
     criterion: SelectionCriterion = "free run",
@@ -274,12 +273,12 @@ def scan_choices(
     listed, structures, began = list(choices), [], time.perf_counter()
     for done, orders in enumerate(listed, 1):
         try:
-            model = fit_structure(data, kind, orders, at_rest=at_rest, policy=policy.search)
+            model = fit_structure(data, kind, orders, policy=policy.search)
         except DataError as error:
             written = ", ".join(f"{letter} {orders[letter]}" for letter in ORDERS_BY_KIND[kind] if letter in orders)
             structure = ScannedStructure(f"{kind}({written})", orders, failure=str(error))
         else:
-            free_run = _free_run_error(model, data, records, skip, at_rest)
+            free_run = score_free_run(model, records or data.experiments, skip, validation=bool(records)).rmse
             structure = ScannedStructure(model.label, orders, model, free_run=free_run)
         structures.append(structure)
         if report is not None:
@@ -291,9 +290,8 @@ def scan_choices(
             else f"{kind}: no structure to fit; give at least one order of each kind"
         )
     structures = _add_criteria(structures)
-    chosen = _choose([s for s in structures if s.model is not None], criterion)
-    # Once more on all rows: what was held out for the choice is worth its information.
-    best = fit_structure(final or data, kind, chosen.orders, at_rest=at_rest, policy=policy.final_search)
+    ranked = _rank([s for s in structures if s.model is not None], criterion)
+    chosen, best = _fit_in_full(ranked[:FULL_FITS], final or data, kind, policy.final_search)
     known_units = units or {}
     return StructureScan(
         tuple(structures),
@@ -307,16 +305,38 @@ def scan_choices(
     )
 
 
+# Structures that are fitted in full at most, best first, until one is stable and follows its records.
+FULL_FITS = 3
+
+
+def _fit_in_full(
+    ranked: Sequence[ScannedStructure], data: SampledData, kind: BlackBoxKind, policy: PredictionErrorPolicy
+) -> tuple[ScannedStructure, BlackBox]:
+    """The first structure whose model of all rows is stable and better than a constant on them; the first of all where none is."""
+    fitted = []
+    reason = ""
+    for structure in ranked:
+        try:
+            # Once more on all rows: what was held out for the choice is worth its information.
+            model = fit_structure(data, kind, structure.orders, policy=policy)
+        except DataError as error:
+            reason = str(error)
+            continue
+        fitted.append((structure, model))
+        # A model that was stable on fewer rows need not be so on all.
+        score = score_free_run(model, data.experiments, 0, validation=False)
+        if model.stable and score.rmse < score.movement:
+            return fitted[-1]
+    if not fitted:
+        raise DataError(reason)
+    return fitted[0]
+
+
 def fit_structure(
-    data: SampledData,
-    kind: BlackBoxKind,
-    orders: OrderChoice,
-    *,
-    at_rest: bool = False,
-    policy: PredictionErrorPolicy = DEFAULT_SEARCH,
+    data: SampledData, kind: BlackBoxKind, orders: OrderChoice, *, policy: PredictionErrorPolicy = DEFAULT_SEARCH
 ) -> BlackBox:
-    """The model of these ``orders``; ``at_rest``: all was zero before each record. Raises DataError where it cannot be fitted."""
-    offset = bool(orders.get("offset", False))
+    """The model of these ``orders``, with ``at_rest`` for records that begin so. Raises DataError where it cannot be fitted."""
+    offset, at_rest = bool(orders.get("offset", False)), bool(orders.get("at_rest", False))
     history: HistoryTreatment = "zero" if at_rest else "estimated"
     data = data.scaled("rest" if at_rest else "mean" if offset else "zero")
     if kind == BlackBoxKind.ARX:
@@ -347,22 +367,17 @@ def with_units(model: BlackBox, units: Mapping[str, str]) -> BlackBox:
 STRUCTURE_SCAN_INITIAL_ROWS = 50
 
 
-def _free_run_error(
-    model: BlackBox,
-    data: SampledData,
-    validation: Sequence[Experiment],
-    skip: int,
-    at_rest: bool,
-) -> float:
-    """Root mean square error of the free run over the validation records, or over the estimation records without any."""
-    # What determines the initial state is not judged, where it can be spared.
+def score_free_run(
+    model: PredictingModel, records: Sequence[Experiment], skip: int, *, validation: bool
+) -> OutputScore:
+    """Errors of the free runs over ``records``, from rest for a model that was fitted from rest.
+
+    The rows that determine the initial state of a record for ``validation``, the first ``skip``, are not judged; on the records of the
+    estimation all rows determine it, and count.
+    """
     rows, first = ((skip or STRUCTURE_SCAN_INITIAL_ROWS), skip) if validation else (None, 0)
-    initial = "zero" if at_rest else "estimated"
-    records = validation or data.experiments
-    error = OutputScore.of(
-        [r for e in records for r in run_by_itself(model, e, (), first, initial=initial, rows=rows)]
-    ).rmse
-    return error if np.isfinite(error) else np.inf
+    initial = "zero" if getattr(model, "history", "") == "zero" else "estimated"
+    return OutputScore.of([r for e in records for r in run_by_itself(model, e, (), first, initial=initial, rows=rows)])
 
 
 def _add_criteria(structures: Sequence[ScannedStructure]) -> list[ScannedStructure]:
@@ -384,21 +399,22 @@ def _add_criteria(structures: Sequence[ScannedStructure]) -> list[ScannedStructu
 AS_GOOD = 0.005
 
 
-def _choose(fitted: Sequence[ScannedStructure], criterion: SelectionCriterion) -> ScannedStructure:
+def _rank(fitted: Sequence[ScannedStructure], criterion: SelectionCriterion) -> list[ScannedStructure]:
+    """The structures, best first."""
     if criterion != "free run":
-        return min(fitted, key=lambda s: s.aic if criterion == "aic" else s.bic)
-    stable = [s for s in fitted if s.model is not None and s.model.stable and np.isfinite(s.free_run)]
+        return sorted(fitted, key=lambda s: s.aic if criterion == "aic" else s.bic)
     # An unstable model may run well over a short record and never over a longer one.
-    pool = stable or list(fitted)
-    smallest = min(s.free_run for s in pool)
-    as_good = [s for s in pool if s.free_run <= (1 + AS_GOOD) * smallest] or pool
+    pool = [s for s in fitted if s.model is not None and s.model.stable and np.isfinite(s.free_run)] or list(fitted)
+    limit = (1 + AS_GOOD) * min(s.free_run for s in pool)
 
-    def simplicity(structure: ScannedStructure) -> tuple[float, float, float]:
+    def simplicity(structure: ScannedStructure) -> tuple[float, ...]:
         """Of structures that run equally well: the smallest BIC where it is about a one-step error, which can be white; else, because a
         free-run error is not and its BIC would go on praising coefficients, the fewest of these."""
         model = structure.model
         count = float(model.parameters) if model is not None else np.inf
         one_step = model is not None and get_linear_part(model).kind != BlackBoxKind.OUTPUT_ERROR
-        return (structure.bic if one_step else count, count, structure.free_run)
+        if structure.free_run > limit:
+            return (1.0, structure.free_run, count)
+        return (0.0, structure.bic if one_step else count, count, structure.free_run)
 
-    return min(as_good, key=simplicity)
+    return sorted(pool, key=simplicity)

@@ -8,8 +8,8 @@ the simulated output, and the gain of the predictor from the covariance of the r
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NoReturn
 
@@ -18,9 +18,15 @@ from scipy.signal import lfilter
 
 from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.findings import Finding
-from greybox.base.numerics import NEGLIGIBLE_SINGULAR_VALUE, RANK_OF_EXACT_RECORDS, SAME_SAMPLING_TIME
+from greybox.base.numerics import (
+    CONFINED_ROOT_MARGIN,
+    NEGLIGIBLE_SINGULAR_VALUE,
+    RANK_OF_EXACT_RECORDS,
+    SAME_SAMPLING_TIME,
+    TINY,
+)
 from greybox.base.values import Printable
-from greybox.comparison.blackbox.linear_regression import SampledRecord, to_sampled_record
+from greybox.comparison.blackbox.linear_regression import SampledRecord, Scaling, find_mean, to_sampled_record
 from greybox.comparison.blackbox.polynomial import InitialChoice
 from greybox.data.experiment import Experiment, as_records
 
@@ -29,7 +35,7 @@ WEIGHTS = ("cva", "n4sid")
 
 @dataclass(frozen=True, eq=False)
 class StateSpaceModel(Printable):
-    """``x[k+1] = A x[k] + B u[k] + K e[k]``, ``y[k] = C x[k] + D u[k] + offset + e[k]``.
+    """``x[k+1] = A x[k] + B (u[k] - origin) + K e[k]``, ``y[k] = C x[k] + D (u[k] - origin) + offset + e[k]``.
 
     Attributes
     ----------
@@ -41,8 +47,10 @@ class StateSpaceModel(Printable):
         Matrices (n, n), (n, nu), (ny, n), (ny, nu), (n, ny).
     noise_covariance
         Covariance (ny, ny) of ``e``.
+    origin
+        What the inputs are measured from (nu,): their means over the records.
     offset
-        Constants (ny,) of the outputs, for inputs as they are.
+        The outputs (ny,) at rest under these inputs.
     singular_values
         Of the projection: where they fall is the order.
     weight
@@ -60,6 +68,7 @@ class StateSpaceModel(Printable):
     D: np.ndarray
     K: np.ndarray
     noise_covariance: np.ndarray
+    origin: np.ndarray
     offset: np.ndarray
     singular_values: np.ndarray
     weight: str
@@ -118,6 +127,7 @@ class SubspaceOutput:
     model: StateSpaceModel
     output: str
     kind: str = field(default="subspace", init=False)
+    history: str = field(default="estimated", init=False)
     findings: tuple[Finding, ...] = field(default=(), init=False)
 
     @property
@@ -262,37 +272,134 @@ def subspace(
         raise DataError("no experiment; give at least one record")
     if weight not in WEIGHTS:
         raise DataError(f"unknown weight {weight!r}; {nearest(weight, WEIGHTS)}")
-    names = tuple(outputs or group[0].outputs), tuple(inputs or group[0].inputs)
-    parts, step = _collect_segments(group, *names)
-    ny, nu = len(names[0]), len(names[1])
-    horizon = _choose_horizon(parts, ny, nu, order)
-    gamma, singular, columns = _project(parts, horizon, weight)
-    if order is None:
-        limit = min(LARGEST_ORDER, ny * (horizon - 1), len(singular) - 1)
-        costs = [
-            # Singular value criterion: the first one left out, plus a BIC-like price for the parameters of a model
-            # of order n.
-            singular[n] ** 2 + np.log(columns) / columns * (2 * n * ny + n * nu + nu * ny)
-            for n in range(1, limit + 1)
+    return _Projection.of(
+        group, tuple(outputs or group[0].outputs), tuple(inputs or group[0].inputs), order, weight
+    ).identify(order, feedthrough)
+
+
+def scan_orders(
+    experiments: Sequence[Experiment], outputs: Sequence[str], inputs: Sequence[str]
+) -> Iterator[StateSpaceModel]:
+    """Models of every order that the records support, with the weights of N4SID and of CVA. Raises DataError as `subspace` does."""
+    for weight in WEIGHTS:
+        projection = _Projection.of(experiments, tuple(outputs), tuple(inputs), None, weight)
+        for order in range(1, projection.most + 1):
+            yield projection.identify(order)
+
+
+@dataclass(frozen=True, eq=False)
+class _Projection:
+    """The observability matrix of records by its columns, the most important first, and what a model of some order is made of."""
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    sampling_time: float
+    scaling: Scaling
+    parts: Sequence[tuple[np.ndarray, np.ndarray]]
+    horizon: int
+    weight: str
+    observability: np.ndarray
+    singular: np.ndarray
+    columns: int
+
+    @classmethod
+    def of(
+        cls,
+        group: Sequence[Experiment],
+        outputs: tuple[str, ...],
+        inputs: tuple[str, ...],
+        order: int | None,
+        weight: str,
+    ) -> _Projection:
+        """That of the records; ``order``: the one that is wanted."""
+        recorded, step = _collect_segments(group, outputs, inputs)
+        if not recorded:
+            raise DataError(
+                f"no row in which {', '.join(outputs)} were all measured; give records that have them together"
+            )
+        # A movement of one each, about zero: what is negligible must not hang on units.
+        signals = [
+            [each[k][:, j] for each in recorded] for k, names in ((1, outputs), (0, inputs)) for j in range(len(names))
         ]
+        scaling = Scaling.of(signals, [find_mean(records) for records in signals])
+        ny, nu = len(outputs), len(inputs)
+        y0, u0 = np.split(np.array(scaling.origins), [ny])
+        y_size, u_size = np.split(np.array(scaling.sizes), [ny])
+        parts = [((u - u0) / u_size, (y - y0) / y_size) for u, y in recorded]
+        horizon = _choose_horizon(parts, ny, nu, order)
+        observability, singular, columns = _project(parts, horizon, weight)
+        return cls(inputs, outputs, step, scaling, parts, horizon, weight, observability, singular, columns)
+
+    @property
+    def most(self) -> int:
+        """The highest order that is tried."""
+        return min(LARGEST_ORDER, len(self.outputs) * (self.horizon - 1), len(self.singular) - 1)
+
+    def choose_order(self) -> int:
+        """That of the smallest criterion on the singular values."""
+        ny, nu, singular = len(self.outputs), len(self.inputs), self.singular
+        # Singular value criterion: the first one left out, plus a BIC-like price for the parameters of a model of order n.
+        price = np.log(self.columns) / self.columns
+        costs = [singular[n] ** 2 + price * (2 * n * ny + n * nu + nu * ny) for n in range(1, self.most + 1)]
         # Without noise the values fall to rounding, where no criterion is needed, nor sound.
-        noise_free = singular[1 : limit + 1] < ZERO_SHARE * singular[0]
-        order = 1 + (int(np.argmax(noise_free)) if noise_free.any() else int(np.argmin(costs)))
-    if not 1 <= order <= ny * (horizon - 1):
-        raise DataError(
-            f"order {order}: with {ny} outputs and a horizon of {horizon} rows give 1 to {ny * (horizon - 1)}"
+        noise_free = singular[1 : self.most + 1] < ZERO_SHARE * singular[0]
+        return 1 + (int(np.argmax(noise_free)) if noise_free.any() else int(np.argmin(costs)))
+
+    def identify(self, order: int | None, feedthrough: bool = True) -> StateSpaceModel:
+        """The model of this order (None: `choose_order`). Raises DataError for one that past and future cannot show."""
+        ny, nu, n = len(self.outputs), len(self.inputs), order or self.choose_order()
+        if not 1 <= n <= ny * (self.horizon - 1):
+            raise DataError(
+                f"order {n}: with {ny} outputs and a horizon of {self.horizon} rows give 1 to {ny * (self.horizon - 1)}"
+            )
+        # Gamma = [C; CA; CA^2; ...]: its first block row is C, and a shift by one block row is A.
+        observability = self.observability[:, :n]
+        C = observability[:ny]
+        A = confine_modes(np.linalg.lstsq(observability[:-ny], observability[ny:], rcond=None)[0])
+        B, D, offset = _estimate_inputs(self.parts, A, C, nu, feedthrough)
+        names = self.inputs, self.outputs
+        model = StateSpaceModel(
+            *names,
+            self.sampling_time,
+            A,
+            B,
+            C,
+            D,
+            np.zeros((n, ny)),
+            np.eye(ny),
+            np.zeros(nu),
+            offset,
+            self.singular,
+            self.weight,
+            self.columns,
         )
-    # Gamma = [C; CA; CA^2; ...]: its first block row is C, and a shift by one block row is A.
-    observability = gamma[:, :order]
-    C = observability[:ny]
-    A = np.linalg.lstsq(observability[:-ny], observability[ny:], rcond=None)[0]
-    B, D, offset = _estimate_inputs(parts, A, C, nu, feedthrough)
-    model = StateSpaceModel(
-        names[1], names[0], step, A, B, C, D, np.zeros((order, ny)), np.eye(ny), offset, singular, weight, columns
-    )
-    # Last: it takes the free run of the model as it stands.
-    K, noise = _estimate_gain(model, parts, horizon)
-    return StateSpaceModel(names[1], names[0], step, A, B, C, D, K, noise, offset, singular, weight, columns)
+        # Last: it takes the free run of the model as it stands.
+        K, noise = _estimate_gain(model, self.parts, self.horizon)
+        y0, u0 = np.split(np.array(self.scaling.origins), [ny])
+        y_size, u_size = np.split(np.array(self.scaling.sizes), [ny])
+        return replace(
+            model,
+            B=B / u_size,
+            C=y_size[:, None] * C,
+            D=y_size[:, None] * D / u_size,
+            K=K / y_size,
+            noise_covariance=noise * np.outer(y_size, y_size),
+            origin=u0,
+            offset=y0 + y_size * offset,
+        )
+
+
+def confine_modes(A: np.ndarray) -> np.ndarray:
+    """``A`` (n, n) with its eigenvalues on or outside the unit circle moved radially to just inside: a free run must not grow."""
+    values, vectors = np.linalg.eig(A)
+    size = np.abs(values)
+    if np.all(size <= 1 - CONFINED_ROOT_MARGIN):
+        return A
+    confined = values * np.minimum(1.0, (1 - CONFINED_ROOT_MARGIN) / np.maximum(size, TINY))
+    if np.linalg.cond(vectors) > 1 / np.sqrt(np.finfo(float).eps):
+        # Modes that are nearly one have no directions of their own: all are slowed alike.
+        return A * ((1 - CONFINED_ROOT_MARGIN) / size.max())
+    return np.asarray(np.real(vectors @ np.diag(confined) @ np.linalg.inv(vectors)))
 
 
 def _collect_segments(
@@ -379,9 +486,7 @@ def _estimate_inputs(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """B, D and the constants of the outputs, by least squares of the simulated output; each part has first states of its own."""
     n, ny = len(A), len(C)
-    values, transform = np.linalg.eig(A)
-    # A pole beyond the unit circle would make the free run explode: its output is fitted with the pole on the circle.
-    modes = np.where(np.abs(values) > 1, values / np.abs(values), values)
+    modes, transform = np.linalg.eig(A)
     outputs = C @ transform
     rows, targets = [], []
     for number, (u, y) in enumerate(parts):
@@ -451,9 +556,10 @@ def _estimate_gain(
 
 
 def _take_arrays(model: StateSpaceModel, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
+    """The inputs (N, nu) from the model's origin on, and the outputs (N, ny)."""
     record = to_sampled_record(experiment, model.outputs[0], model.inputs, need_output=False)
     missing = np.full(experiment.rows, np.nan)
-    return record.u, np.column_stack([experiment.outputs.get(name, missing) for name in model.outputs])
+    return record.u - model.origin, np.column_stack([experiment.outputs.get(name, missing) for name in model.outputs])
 
 
 def _simulate(model: StateSpaceModel, u: np.ndarray, x0: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from greybox.base import document as doc
 from greybox.base import format_unit
 from greybox.base.findings import Finding, with_code
 from greybox.base.numerics import TINY
-from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonFinding, ComparisonScore
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonFinding
 from greybox.estimation.result import Fit
 from greybox.show.documents.fit import OPEN_RECORDS, not_drawn
 from greybox.show.documents.tables import parameters_table, provenance_section, typeset_equations, worst_first
@@ -128,7 +128,7 @@ def comparison_tone(comparison: Comparison) -> doc.Tone:
 def summary_table(comparison: Comparison) -> doc.TableBlock:
     """Error and best fit of each model on the judging records, the best first."""
     names = list(dict.fromkeys(e.name for output in comparison.outputs for _, e in _rank(comparison, output)))
-    names += [e.name for e in comparison.entries if e.name not in names]
+    names += [e.name for e in comparison.standing if e.name not in names]
     # One prefix a column: numbers below one another are compared.
     largest = {
         output: max((error for error, _ in _rank(comparison, output)), default=0.0) for output in comparison.outputs
@@ -194,8 +194,7 @@ def _error_tables(comparison: Comparison, group: str) -> Iterator[doc.TableBlock
 
 
 def _error_table(comparison: Comparison, group: str, output: str) -> doc.TableBlock:
-    of_group: dict[str, Mapping[str, ComparisonScore]] = {e.name: getattr(e, group) for e in comparison.entries}
-    scores = {name: by_output[output] for name, by_output in of_group.items() if output in by_output}
+    scores = {e.name: s for e in comparison.standing if (s := e.score(output, group)) is not None}
     steps = sorted({k for s in scores.values() for k in s.ahead_rmse})
     rows = [
         [
@@ -227,14 +226,14 @@ def _record_tables(comparison: Comparison) -> Iterator[doc.TableBlock]:
     shown = comparison.validation[:5]
     left_out = len(comparison.validation) - len(shown)
     for output in comparison.outputs if len(comparison.validation) > 1 else ():
-        rows = [[e.name, *(_best_fit(e, record, output) for record in shown)] for e in comparison.entries]
+        rows = [[e.name, *(_best_fit(e, record, output) for record in shown)] for e in comparison.standing]
         title = f"best fit [%], {output}" + (f" ({left_out} more records in the file)" if left_out else "")
         yield doc.TableBlock(capitalise(title), ["model", *(shorten(name, 14) for name in shown)], rows, corner=title)
 
 
 def _best_fit(entry: ComparisonEntry, record: str, output: str) -> str:
-    scores = entry.records.get(record, {})
-    return f"{scores[output].best_fit_percent:.2f}" if output in scores else "-"
+    score = entry.score(output, record=record)
+    return "-" if score is None else f"{score.best_fit_percent:.2f}"
 
 
 def _error(value: float) -> str:
@@ -251,7 +250,7 @@ def _runs(comparison: Comparison) -> Iterator[doc.Block]:
     """The curves of every model over each judging record."""
     records = judging_records(comparison)
     drawn = records[:RECORDS_OF_COMPARISON]
-    curves = 2 * sum(len(comparison.deciding_scores(e)) for e in comparison.entries) + len(comparison.outputs)
+    curves = 2 * sum(len(comparison.deciding_scores(e)) for e in comparison.standing) + len(comparison.outputs)
     stretches = stretches_on_page(len(drawn) * curves)
     yield doc.Paragraphs(["Click a name in the legend to hide that model; double-click to show it alone."])
     for k, record in enumerate(drawn):
@@ -277,7 +276,7 @@ def models_table(comparison: Comparison) -> doc.TableBlock:
             ", ".join(format_number(v, 3) for v in e.feedthrough.values()) or "none",
             f"{e.seconds:.1f} s" if e.seconds else "-",
         ]
-        for e in comparison.entries
+        for e in comparison.standing
     ]
     return doc.TableBlock(
         "Models",
@@ -289,7 +288,7 @@ def models_table(comparison: Comparison) -> doc.TableBlock:
 
 def structures(comparison: Comparison) -> Iterator[doc.Facts]:
     """What each model is, where its name does not say that already."""
-    known = {e.name: ", ".join(dict.fromkeys(e.structure.values())) for e in comparison.entries}
+    known = {e.name: ", ".join(dict.fromkeys(e.structure.values())) for e in comparison.standing}
     entries = [(name, text) for name, text in known.items() if text != name]
     if entries:
         yield doc.Facts(entries, "Structures")
@@ -311,7 +310,7 @@ def _data(comparison: Comparison, fingerprints: Mapping[str, str], known: Sequen
     rows = []
     for use, records in (("fitted", comparison.training), ("validation", comparison.validation)):
         for record in records:
-            runs = (r for e in comparison.entries for r in (*e.training_runs, *e.validation_runs))
+            runs = (r for e in comparison.standing for r in (*e.training_runs, *e.validation_runs))
             run = next((r for r in runs if r.record == record), None)
             length = [str(len(run.time)), f"{run.time[-1] - run.time[0]:.6g} s"] if run is not None else ["", ""]
             rows.append([record, use, *length, fingerprints.get(record, "")[:12]])

@@ -32,9 +32,9 @@ def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figu
 
     On all judging records, or on one ``record``.
     """
-    roles, panels, description = model_roles(comparison.entries), [], []
+    roles, panels, description = model_roles(comparison.standing), [], []
     for output, unit in comparison.outputs.items():
-        scores = {e.name: s for e in comparison.entries if (s := _score(comparison, e, output, record)) is not None}
+        scores = {e.name: s for e in comparison.standing if (s := _score(comparison, e, output, record)) is not None}
         factor, text = scale_to_prefix(unit, np.array([_usable(s.rmse) for s in scores.values()] or [np.nan]))
         ranked = sorted(scores, key=lambda name: scores[name].rmse if np.isfinite(scores[name].rmse) else np.inf)
         free_run = np.array([factor * _usable(scores[name].rmse) for name in ranked])
@@ -76,7 +76,7 @@ def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figu
 
 def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
     """Measured outputs and the free run of every model over one record, a panel for each output."""
-    roles, panels = model_roles(comparison.entries), []
+    roles, panels = model_roles(comparison.standing), []
     sizes: dict[str, dict[str, float]] = {}
     for output, runs in _runs_by_output(comparison, record).items():
         first = next(iter(runs.values()))
@@ -108,7 +108,7 @@ TYPICAL_ERRORS = 4.0
 
 def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figure:
     """Measured minus simulated of every model over one record, a panel for each output."""
-    roles, panels = model_roles(comparison.entries), []
+    roles, panels = model_roles(comparison.standing), []
     sizes: dict[str, dict[str, float]] = {}
     for output, runs in _runs_by_output(comparison, record).items():
         sizes[output] = {n: _error_size(run.measured, run.simulated) for n, run in runs.items()}
@@ -135,18 +135,15 @@ def judging_records(comparison: Comparison) -> list[str]:
 
 
 def _score(comparison: Comparison, entry: ComparisonEntry, output: str, record: str | None) -> ComparisonScore | None:
-    scores: Mapping[str, ComparisonScore] = (
-        comparison.deciding_scores(entry) if record is None else entry.records.get(record, {})
-    )
-    return scores.get(output)
+    return comparison.deciding_scores(entry).get(output) if record is None else entry.score(output, record=record)
 
 
 def _runs_by_output(comparison: Comparison, record: str) -> dict[str, dict[str, OutputRun]]:
     """Output -> model -> its run over the judging record, where there is one."""
     runs: dict[str, dict[str, OutputRun]] = {output: {} for output in comparison.outputs}
-    for entry in comparison.entries:
+    for entry in comparison.standing:
         for run in entry.validation_runs if comparison.validation else entry.training_runs:
-            if run.record == record:
+            if run.record == record and run.output not in entry.failed_outputs:
                 runs[run.output][entry.name] = run
     return {output: by_model for output, by_model in runs.items() if by_model}
 

@@ -65,6 +65,16 @@ def _bic_of_different_outputs(finding: Finding) -> str:
     )
 
 
+def _failure(records: str) -> Callable[[Finding], str]:
+    def write(finding: Finding) -> str:
+        values, unit = finding.values, format_unit(finding.values["unit"])
+        error, movement = (with_unit(format_number(values[key], 3), unit) for key in ("error", "movement"))
+        runs = f"errs by {error}" if np.isfinite(values["error"]) else "leaves all bounds"
+        return f"failed: its free run of {finding.subject} over {records} {runs}, where a constant errs by {movement}"
+
+    return write
+
+
 register(
     {
         ComparisonFinding.BEST_MODEL: _best_model,
@@ -75,6 +85,11 @@ register(
         ),
         ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS: _bic_of_different_outputs,
         ComparisonFinding.FAILED_FITS: _listed("The fit failed: {models}. Do not judge the model by these errors."),
+        ComparisonFinding.FAILED_MODELS: _listed(
+            "Failed, and no part of this comparison: {models}. Each follows an output worse than a constant does."
+        ),
+        ComparisonFinding.WORSE_THAN_CONSTANT: _failure("the records that it was fitted to"),
+        ComparisonFinding.DIVERGED: _failure("the validation records"),
         ComparisonFinding.FIT_FAILED: lambda finding: f"the fit failed: {status_text(finding.values['status'])}",
         ComparisonFinding.PREDICTION_FILTER: "predictions are corrected by {filter}",
         ComparisonFinding.NO_BLACK_BOX: "{reason}",
@@ -211,6 +226,10 @@ def polynomial_blocks(model: PolynomialModel) -> list[Block]:
         *([("history", f"{model.history}; focus: {model.focus}")] if model.history else []),
         *(("note", finding) for finding in model.findings),
     ]
+    if any(model.origins):
+        named = zip((model.output, *model.inputs), model.origins, strict=True)
+        text = ", ".join(f"{n} {value_with_unit(v, model.units.get(n, ''), 6)}" for n, v in named)
+        facts.append(("signals", f"measured from {text}"))
     title = f"{model.label} of {model.output} from {', '.join(model.inputs)}, every {model.sampling_time:.6g} s"
     return [
         Paragraphs([title, polynomial_equation(model)]),
@@ -247,7 +266,7 @@ def hammerstein_blocks(model: HammersteinModel) -> list[Block]:
 
 def nonlinearity_text(name: str, curve: StaticNonlinearity, units: Mapping[str, str]) -> str:
     """A static nonlinearity as a few of its points."""
-    points = np.linspace(-curve.size, curve.size, 7)
+    points = curve.origin + np.linspace(-curve.size, curve.size, 7)
     unit = units.get(name, "")
     values = ", ".join(f"{u:.3g} -> {v:.4g}" for u, v in zip(points, curve(points), strict=True))
     return f"nonlinearity of {name}{f' [{unit}]' if unit else ''}: {values}"

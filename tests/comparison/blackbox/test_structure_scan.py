@@ -100,7 +100,9 @@ def test_a_settled_step_is_validated_by_the_run_over_itself():
     assert set(scans) == {"arx"}  # an input of two levels has no curve
     assert scans["arx"].validation == () and scans["arx"].policy is policy
     with pytest.raises(gb.errors.DataError, match=r"no black-box model of these records: .* equations for"):
-        gb.blackbox.best_black_boxes(step.window(0, 3), kinds=("arx",))
+        gb.blackbox.best_black_boxes(record(3, 1), kinds=("arx",))
+    with pytest.raises(gb.errors.DataError, match=r"output 'y': no input ever moves \(u\)"):
+        gb.blackbox.best_black_boxes(step, kinds=("arx",))
 
 
 # ---- Hammerstein ----

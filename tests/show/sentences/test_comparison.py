@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from greybox.base.findings import Finding
@@ -38,6 +39,18 @@ SENTENCES = {
     Code.FAILED_FITS: (
         Finding(Code.FAILED_FITS, values={"models": ["mass"]}),
         "The fit failed: mass. Do not judge the model by these errors.",
+    ),
+    Code.FAILED_MODELS: (
+        Finding(Code.FAILED_MODELS, values={"models": ["arx", "armax"]}),
+        "Failed, and no part of this comparison: arx, armax. Each follows an output worse than a constant does.",
+    ),
+    Code.WORSE_THAN_CONSTANT: (
+        Finding(Code.WORSE_THAN_CONSTANT, subject="p", values={"error": 2.1e5, "movement": 1.5e5, "unit": "Pa"}),
+        "failed: its free run of p over the records that it was fitted to errs by 2.1e+05 Pa, where a constant errs by 1.5e+05 Pa",
+    ),
+    Code.DIVERGED: (
+        Finding(Code.DIVERGED, subject="p", values={"error": np.inf, "movement": 1.5e5, "unit": "Pa"}),
+        "failed: its free run of p over the validation records leaves all bounds, where a constant errs by 1.5e+05 Pa",
     ),
     Code.FIT_FAILED: (
         Finding(Code.FIT_FAILED, subject="mass", values={"status": "interrupted"}),
