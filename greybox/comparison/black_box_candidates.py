@@ -153,20 +153,24 @@ def _identify_state_space(
     records: Sequence[Experiment], outputs: Sequence[str], inputs: Sequence[str]
 ) -> tuple[tuple[SubspaceOutput, ...], list[Finding]]:
     """One model of every input and output: of the order and weights whose free run follows rows that it was not fitted to best."""
-    estimation, validation, skip = hold_out(records, outputs, inputs)
-    judged = validation or estimation
+    folds = hold_out(records, outputs, inputs)
 
-    def measure(model: StateSpaceModel) -> float:
+    def measure(model: StateSpaceModel, judged: Sequence[Experiment], skip: int, validation: bool) -> float:
         """Mean square of the free run's error over that of the outputs' movement; infinite for a run that overflows."""
-        scores = [score_free_run(box, judged, skip, validation=bool(validation)) for box in model.boxes()]
+        scores = [score_free_run(box, judged, skip, validation=validation) for box in model.boxes()]
         return sum((s.rmse / max(s.movement, TINY)) ** 2 for s in scores)
 
     try:
-        tried = [(measure(model), model) for model in scan_orders(estimation, outputs, inputs)]
+        errors: dict[tuple[str, int], list[float]] = {}
+        for estimation, validation, skip in folds:
+            for model in scan_orders(estimation, outputs, inputs):
+                error = measure(model, validation or estimation, skip, bool(validation))
+                errors.setdefault((model.weight, model.order), []).append(error)
+        tried = {key: float(np.mean(each)) for key, each in errors.items() if len(each) == len(folds)}
         # As of a difference equation: of those that run equally well the smallest.
-        limit = (1 + AS_GOOD) ** 2 * min(error for error, _ in tried)
-        chosen = min((m for error, m in tried if error <= limit), key=lambda m: m.order)
-        best = subspace(records, chosen.order, outputs=outputs, inputs=inputs, weight=chosen.weight)
+        limit = (1 + AS_GOOD) ** 2 * min(tried.values())
+        weight, order = min((key for key, error in tried.items() if error <= limit), key=lambda key: key[1])
+        best = subspace(records, order, outputs=outputs, inputs=inputs, weight=weight)
     except DataError as error:
         return (), [Finding(ComparisonFinding.NO_STATE_SPACE, Severity.NOTE, "", {"reason": str(error)})]
     return best.boxes(), []

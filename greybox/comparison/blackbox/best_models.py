@@ -13,6 +13,7 @@ from greybox.comparison.blackbox.linear_regression import Origin, SampledData, t
 from greybox.comparison.blackbox.structure_scan import (
     DEFAULT_SCAN,
     BlackBoxKind,
+    Fold,
     OrderChoice,
     ScannedStructure,
     StructureScan,
@@ -47,10 +48,11 @@ def best_black_boxes(
 ) -> dict[BlackBoxKind, StructureScan]:
     """Find the best model of each kind for one output, each by a scan of its own, and fit it to all the records.
 
-    Of several records the last third validates by its free-run error; of a single one its last 30 %, if an input still moves
-    there; else (a step that has settled) the free run over the record itself. ARX models are scanned with prediction and with simulation
-    focus, over up to six poles and the delays around the best; the others start from the delay found there. Signals are measured from
-    their means, or from where they rest before a record. An input that never moves is left out.
+    Orders are chosen by cross-validation of the free-run error: of several records the last third validates, then the first; of a
+    single one its last 30 %, then its first, if an input moves there; else (a step that has settled) the free run over the record
+    itself. ARX models are scanned with prediction and with simulation focus, over up to six poles and the delays around the best; the
+    others start from the delay found there. Signals are measured from their means, or from where they rest before a record. An input
+    that never moves is left out.
 
     Parameters
     ----------
@@ -90,8 +92,11 @@ def best_black_boxes(
     whole = to_sampled_data(experiments, output, inputs)
     moving = find_moving_inputs(whole, at_rest)
     whole = to_sampled_data(whole.experiments, whole.output, moving)
-    estimation, validation, skip = hold_out(whole.experiments, (whole.output,), whole.inputs)
-    data = to_sampled_data(estimation, whole.output, whole.inputs)
+    folds = [
+        Fold(to_sampled_data(estimation, whole.output, whole.inputs), validation, skip)
+        for estimation, validation, skip in hold_out(whole.experiments, (whole.output,), whole.inputs)
+    ]
+    data = folds[0].data
     scans: dict[BlackBoxKind, StructureScan] = {}
     reason = "no kinds asked for"
     for kind in ALL_KINDS:
@@ -108,11 +113,9 @@ def best_black_boxes(
             continue
         try:
             scans[kind] = scan_choices(
-                data,
+                folds,
                 kind,
                 choices,
-                validation=validation,
-                skip=skip,
                 units=units,
                 report=report_scan,
                 final=whole,
@@ -125,11 +128,11 @@ def best_black_boxes(
     return {BlackBoxKind(k): scans[BlackBoxKind(k)] for k in kinds if k in scans}
 
 
-# Share of a single record, its end, that is held out for validation.
+# Share of a single record, its end and then its beginning, that is held out for validation.
 HOLDOUT_SHARE = 0.3
-# The end of a record validates if an input still moves there by this share of its earlier range.
+# A part of a record validates if an input moves there by this share of its range.
 HOLDOUT_EXCITATION = 0.3
-# Measured values that such an end must hold.
+# Measured values that such a part must hold.
 HOLDOUT_VALUES = 60
 
 
@@ -151,21 +154,34 @@ def find_moving_inputs(data: SampledData, at_rest: bool) -> list[str]:
 
 def hold_out(
     experiments: Sequence[Experiment], outputs: Sequence[str], inputs: Sequence[str]
-) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...], int]:
-    """Estimation records, validation records, and how many first rows of these do not count; no validation records where only the
-    estimation records themselves can serve."""
+) -> list[tuple[tuple[Experiment, ...], tuple[Experiment, ...], int]]:
+    """Folds of a cross-validation: estimation records, validation records, and how many first rows of these do not count.
+
+    The end of the records is held out, then their beginning. Without validation records where only the estimation records themselves
+    can serve.
+    """
     if len(experiments) > 1:
-        count = max(1, len(experiments) // 3)
-        return _shorten(experiments[:-count]), _shorten(experiments[-count:]), 0
+        shortened, count = _shorten(experiments), max(1, len(experiments) // 3)
+        return [(shortened[:-count], shortened[-count:], 0), (shortened[count:], shortened[:count], 0)]
     (record,) = _shorten(experiments)
+    if record.rows < 2 * HOLDOUT_VALUES:
+        return [((record,), (), 0)]
     cut = round((1 - HOLDOUT_SHARE) * record.rows)
-    measured = min(int(np.isfinite(part).sum()) for o in outputs for part in np.split(record.outputs[o], [cut]))
-    # An end at rest would praise any model with the right gain.
-    moving = any(np.ptp(u[cut:]) > HOLDOUT_EXCITATION * np.ptp(u[:cut]) for u in (record.inputs[n] for n in inputs))
-    if measured < HOLDOUT_VALUES or not moving:
-        return (record,), (), 0
-    # The whole record is run, so that its end begins with the state that the run has there.
-    return (record.window(0, cut),), (record,), cut
+    # Of the end the whole record is run, so that it begins with the state that the run has there.
+    folds = [
+        ((record.window(0, cut),), (record,), cut),
+        ((record.window(record.rows - cut, record.rows),), (record.window(0, record.rows - cut),), 0),
+    ]
+    spans = {name: np.ptp(record.inputs[name]) for name in inputs}
+
+    def shows(part: Experiment) -> bool:
+        """Whether a part of the record can judge: an end at rest would praise any model with the right gain."""
+        values = min(int(np.isfinite(part.outputs[name]).sum()) for name in outputs)
+        moving = any(np.ptp(part.inputs[name]) > HOLDOUT_EXCITATION * span for name, span in spans.items())
+        return values >= HOLDOUT_VALUES and moving
+
+    kept = [(e, v, skip) for e, v, skip in folds if shows(v[0].window(skip, v[0].rows)) and shows(e[0])]
+    return kept or [((record,), (), 0)]
 
 
 # Rows of all records that a scan uses; the chosen structure is fitted to all.
@@ -186,10 +202,8 @@ def _choices(
     policy: StructureScanPolicy,
 ) -> Iterator[OrderChoice]:
     """What to scan of this kind, given the scans of the kinds before."""
-    # How a record begins, and with a constant or without: from rest a further constant would be a drift.
-    beginnings = [{"at_rest": False, "offset": True}]
-    if at_rest:
-        beginnings += [{"at_rest": True, "offset": False}, {"at_rest": True, "offset": True}]
+    # From rest a further constant would be a drift.
+    beginnings = [{"at_rest": False, "offset": True}, *([{"at_rest": True, "offset": False}] if at_rest else [])]
     if kind == BlackBoxKind.ARX:
         # ARX is a linear problem: delays are cheap to try here, and the other kinds take them over.
         delay = _find_delay(data, at_rest)

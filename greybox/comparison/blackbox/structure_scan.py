@@ -106,6 +106,8 @@ class ScannedStructure:
         Root mean square error of the free run over the validation records, in the output's unit; infinite where it diverges.
     failure
         Why there is no model.
+    folds
+        How many parts of the records measured that error: only the best of the first part are measured on the others.
     """
 
     label: str
@@ -115,6 +117,7 @@ class ScannedStructure:
     bic: float = np.inf
     free_run: float = np.inf
     failure: str = ""
+    folds: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,11 +246,9 @@ def scan_structures(
     choices = [dict(zip(axes, values, strict=True)) | {"at_rest": at_rest} for values in product(*axes.values())]
     data = to_sampled_data(experiments, output, inputs)
     return scan_choices(
-        data,
+        [Fold(data, tuple(as_records(validation)), skip)],
         BlackBoxKind(kind),
         choices,
-        validation=validation,
-        skip=skip,
         criterion=criterion,
         units=units,
         report=report,
@@ -255,31 +256,47 @@ def scan_structures(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """What a structure is fitted to, and the records that judge it without their first ``skip`` rows; none: those that it was fitted to."""
+
+    data: SampledData
+    validation: tuple[Experiment, ...] = ()
+    skip: int = 0
+
+    def measure(self, model: PredictingModel) -> float:
+        """Root mean square error of the free run over the records that judge."""
+        return score_free_run(
+            model, self.validation or self.data.experiments, self.skip, validation=bool(self.validation)
+        ).rmse
+
+
+# Structures, the best of the first fold, that the other folds judge as well: a single part of a record may praise one by chance.
+SECOND_LOOK = 16
+
+
 def scan_choices(
-    data: SampledData,
+    folds: Sequence[Fold],
     kind: BlackBoxKind,
     choices: Iterable[OrderChoice],
     *,
-    validation: Experiment | Sequence[Experiment] = (),
-    skip: int = 0,
     criterion: SelectionCriterion = "free run",
     units: Mapping[str, str] | None = None,
     report: Callable[[int, int, ScannedStructure], None] | None = None,
     final: SampledData | None = None,
     policy: StructureScanPolicy = DEFAULT_SCAN,
 ) -> StructureScan:
-    """`scan_structures` over a list of ``choices``; the chosen one is fitted to ``final`` (None: to the same records)."""
-    records = as_records(validation)
+    """`scan_structures` over a list of ``choices``; the chosen one is fitted to ``final`` (None: to the records of the first fold)."""
+    first, *others = folds
     listed, structures, began = list(choices), [], time.perf_counter()
     for done, orders in enumerate(listed, 1):
         try:
-            model = fit_structure(data, kind, orders, policy=policy.search)
+            model = fit_structure(first.data, kind, orders, policy=policy.search)
         except DataError as error:
             written = ", ".join(f"{letter} {orders[letter]}" for letter in ORDERS_BY_KIND[kind] if letter in orders)
             structure = ScannedStructure(f"{kind}({written})", orders, failure=str(error))
         else:
-            free_run = score_free_run(model, records or data.experiments, skip, validation=bool(records)).rmse
-            structure = ScannedStructure(model.label, orders, model, free_run=free_run)
+            structure = ScannedStructure(model.label, orders, model, free_run=first.measure(model))
         structures.append(structure)
         if report is not None:
             report(done, len(listed), structure)
@@ -291,18 +308,36 @@ def scan_choices(
         )
     structures = _add_criteria(structures)
     ranked = _rank([s for s in structures if s.model is not None], criterion)
-    chosen, best = _fit_in_full(ranked[:FULL_FITS], final or data, kind, policy.final_search)
+    if others and criterion == "free run":
+        looked_at = {id(s): _judge_again(s, kind, others, policy.search) for s in ranked[:SECOND_LOOK]}
+        structures = [looked_at.get(id(s), s) for s in structures]
+        ranked = _rank(list(looked_at.values()), criterion)
+    chosen, best = _fit_in_full(ranked[:FULL_FITS], final or first.data, kind, policy.final_search)
     known_units = units or {}
     return StructureScan(
         tuple(structures),
         chosen,
         with_units(best, known_units),
         criterion,
-        tuple(e.name for e in records),
-        known_units.get(data.output, ""),
+        tuple(dict.fromkeys(e.name for fold in folds for e in fold.validation)),
+        known_units.get(first.data.output, ""),
         time.perf_counter() - began,
         policy,
     )
+
+
+def _judge_again(
+    structure: ScannedStructure, kind: BlackBoxKind, folds: Sequence[Fold], policy: PredictionErrorPolicy
+) -> ScannedStructure:
+    """The structure with its error over all folds, each with a model of its own."""
+    # Only the first rows of a record are at rest.
+    orders, errors = {**structure.orders, "at_rest": False, "offset": True}, [structure.free_run]
+    for fold in folds:
+        try:
+            errors.append(fold.measure(fit_structure(fold.data, kind, orders, policy=policy)))
+        except DataError:
+            errors.append(np.inf)
+    return replace(structure, free_run=float(np.sqrt(np.mean(np.square(errors)))), folds=len(errors))
 
 
 # Structures that are fitted in full at most, best first, until one is stable and follows its records.

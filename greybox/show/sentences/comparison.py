@@ -275,7 +275,7 @@ def nonlinearity_text(name: str, curve: StaticNonlinearity, units: Mapping[str, 
 @renders("StructureScan")
 def structure_scan_blocks(scan: StructureScan) -> list[Block]:
     """The best structures in a table, the chosen one marked."""
-    key = {"aic": lambda s: s.aic, "bic": lambda s: s.bic, "free run": lambda s: s.free_run}[scan.criterion]
+    key = {"aic": lambda s: s.aic, "bic": lambda s: s.bic, "free run": lambda s: (-s.folds, s.free_run)}[scan.criterion]
     shown_rows = 12
     fitted = sorted((s for s in scan.structures if s.model is not None), key=key)
     shown = fitted[:shown_rows]
