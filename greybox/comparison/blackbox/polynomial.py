@@ -84,8 +84,9 @@ ONE = np.ones(1)
 class PolynomialModel(Printable):
     """A linear difference equation of one output.
 
-    ``A(q) y(k) = sum_i B_i(q) / F_i(q) u_i(k) + constant + C(q) / D(q) e(k)`` with ``A = 1 + a1 q^-1 + ...`` and so on, and
-    ``B = q^-nk (b1 + b2 q^-1 + ...)`` (Ljung, System identification, 2nd ed., equation 4.33).
+    ``A(q) y(k) = sum_i B_i(q) / F_i(q) u_i(k) + constant / F_1(q) + C(q) / D(q) e(k)`` with ``A = 1 + a1 q^-1 + ...`` and so on, and
+    ``B = q^-nk (b1 + b2 q^-1 + ...)`` (Ljung, System identification, 2nd ed., equation 4.33). The constant passes ``F_1`` as an offset of
+    the first input does: behind an integrator it is a drift. Before a record that begins with zeros it had always been there.
 
     ``kind`` is ``arx``, ``armax``, ``output error`` ...; ``sampling_time`` in seconds. ``a``, ``c``, ``d`` (n + 1,) begin with 1;
     ``b`` holds for each input its coefficients with ``nk`` zeros in front (nk + nb,), ``f`` each (nf + 1,). ``noise_std`` is the
@@ -200,26 +201,30 @@ class PolynomialModel(Printable):
         )
 
     def from_zero(self) -> PolynomialModel:
-        """The same equation with its ``constant`` about zero: where no ``F`` divides them, of inputs too.
+        """The same equation with its ``constant`` about zero: where no ``F`` of their own divides them, of inputs too.
 
-        Behind an integrator in ``F`` an input's origin is a ramp, not a constant: there it stays.
+        Behind an integrator in an ``F`` an input's origin is a drift, which the constant passes ``F_1`` for: any other stays.
         """
         if self.constant is None or not any(self.origins):
             return self
         y0, *inputs = self.origins
-        moved = [0.0 if len(f) > 1 else u0 for u0, f in zip(inputs, self.f, strict=True)]
-        # A (y - y0) = sum B (u - u0) + c: the constant about zero is c + A(1) y0 - sum B(1) u0.
-        shift = y0 * self.a.sum() - sum(u0 * b.sum() for u0, b in zip(moved, self.b, strict=True))
+        gain = self.f[0].sum()
+        moved = [0.0 if i and len(f) > 1 else u0 for i, (u0, f) in enumerate(zip(inputs, self.f, strict=True))]
+        # A (y - y0) = sum B / F (u - u0) + c / F_1: the constant is c + A(1) F_1(1) y0 - B_1(1) u0_1 - F_1(1) sum B_i(1) u0_i.
+        factors = [1.0, *(gain for _ in inputs[1:])]
+        shifts = [u0 * b.sum() for u0, b in zip(moved, self.b, strict=True)]
+        shift = self.a.sum() * gain * y0 - sum(k * each for k, each in zip(factors, shifts, strict=True))
         covariance = self.covariance
         if covariance is not None:
-            # d constant / d a_j = y0, d constant / d b_j = -u0
-            slopes = [y0] * (len(self.a) - 1)
-            slopes += [-u0 for u0, b, nk in zip(moved, self.b, self.nk, strict=True) for _ in b[nk:]]
+            slopes = [gain * y0] * (len(self.a) - 1)
+            for k, u0, b, nk in zip(factors, moved, self.b, self.nk, strict=True):
+                slopes += [-k * u0] * (len(b) - nk)
+            slopes += [self.a.sum() * y0 - sum(shifts[1:])] * (len(self.f[0]) - 1)
             jacobian = np.eye(len(covariance))
             jacobian[-1, : len(slopes)] = slopes
             covariance = jacobian @ covariance @ jacobian.T
         kept = (u0 - by for u0, by in zip(inputs, moved, strict=True))
-        return replace(self, constant=self.constant + shift, covariance=covariance, origins=(0.0, *kept))
+        return replace(self, constant=self.constant + float(shift), covariance=covariance, origins=(0.0, *kept))
 
     @property
     def model(self) -> PlantModel:
@@ -433,7 +438,7 @@ def _roots(polynomial: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PolynomialStructure:
-    """Orders of ``A y = sum B / F u + constant + C / D e``: those of ``A`` and ``B``, ``nf`` of each input, ``nc``, ``nd``."""
+    """Orders of ``A y = sum B / F u + constant / F_1 + C / D e``: those of ``A`` and ``B``, ``nf`` of each input, ``nc``, ``nd``."""
 
     kind: str
     orders: Orders
@@ -506,14 +511,16 @@ def _padded(values: np.ndarray, size: int) -> np.ndarray:
 def simulate_free_run(
     model: PolynomialModel, record: SampledRecord, initial: InitialChoice, rows: int | None
 ) -> np.ndarray:
-    """Output (N,) of ``A y = sum B / F u + constant`` from the ``initial`` state."""
+    """Output (N,) of ``A y = sum B / F u + constant / F_1`` from the ``initial`` state."""
     _check_initial(initial)
     with np.errstate(over="ignore", invalid="ignore"):
-        # A y = sum B / F u + constant, hence y = sum B / (A F) u + constant / A
-        y = _drive(model, record, ONE, model.a)
+        # A y = sum B / F u + constant / F_1, hence y = sum B / (A F) u + constant / (A F_1)
+        y = _drive(model, record, ONE, model.a, initial == "zero")
         if initial == "zero":
             return y
-        _add_past(model, y, lambda free: estimate_initial_state(free, record.y, y, initial, rows))
+        # Errors of free runs are what this state is allowed to add.
+        error = model.noise_std if model.focus == "simulation" else 0.0
+        _add_past(model, y, lambda free: estimate_initial_state(free, record.y, y, initial, rows, error))
         return y
 
 
@@ -529,14 +536,15 @@ def predict_ahead(
 ) -> tuple[np.ndarray, np.ndarray]:
     """``yhat(k | k - steps)`` (N,), the measurement less the last ``steps`` innovations' share in it, and the innovations (N,).
 
-    ``e = D / C (A y - sum B / F u - constant)``. Where nothing was measured the innovation is zero and the prediction takes the
+    ``e = D / C (A y - sum B / F u - constant / F_1)``. Where nothing was measured the innovation is zero and the prediction takes the
     measurement's place. With ``initial="measured"`` the rows without a history are NaN.
     """
     _check_initial(initial)
     alpha, gaps = np.convolve(model.a, model.d), np.isnan(record.y)
     responses = in_gaps = np.empty((0, 0))
     with np.errstate(over="ignore", invalid="ignore"):
-        e, filled = _innovations(alpha, model.c, gaps, record.y, _drive(model, record, model.d, ONE)[:, None])
+        driven = _drive(model, record, model.d, ONE, initial == "zero")
+        e, filled = _innovations(alpha, model.c, gaps, record.y, driven[:, None])
         if initial != "zero":
             # In a gap what was before the record lives on in the value that takes the measurement's place, as long as A and D have it.
             memory = count_rows_of_memory(model, record.rows, model.c, *[alpha] * bool(gaps.any()))
@@ -562,16 +570,33 @@ def predict_ahead(
     return ahead, innovation
 
 
-def _drive(model: PolynomialModel, record: SampledRecord, above: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """``sum B / F u + constant`` behind the filter ``above / below`` (N,), from rest."""
+def _drive(
+    model: PolynomialModel, record: SampledRecord, above: np.ndarray, below: np.ndarray, rest: bool
+) -> np.ndarray:
+    """``sum B / F u + constant / F_1`` behind the filter ``above / below`` (N,), all from ``rest`` but the constant."""
     driven = np.empty(record.rows)
-    constant = BlockFilter(above, below)
+    course, constant = ConstantCourse(model.f[0] if model.f else ONE, rest), BlockFilter(above, below)
     inputs = [BlockFilter(np.convolve(b, above), np.convolve(below, f)) for b, f in zip(model.b, model.f, strict=True)]
     for part in each_block(record.rows):
-        driven[part] = constant(np.full(part.stop - part.start, model.constant or 0.0))
+        driven[part] = constant((model.constant or 0.0) * course(part.stop - part.start))
         for through, signal in zip(inputs, record.signals, strict=True):
             driven[part] += through(signal[part])
     return driven
+
+
+@dataclass(eq=False)
+class ConstantCourse:
+    """``1 / F`` of a constant one, block by block: from the first row on, or of one that had always been there, at ``rest``."""
+
+    f: np.ndarray
+    rest: bool
+
+    def __post_init__(self) -> None:
+        self.through = BlockFilter(ONE, self.f)
+
+    def __call__(self, rows: int) -> np.ndarray:
+        """The next block."""
+        return np.full(rows, 1.0 / self.f.sum()) if self.rest else self.through(np.ones(rows))
 
 
 def count_rows_of_memory(model: PolynomialModel, rows: int, *through: np.ndarray) -> int:
@@ -609,19 +634,23 @@ def compute_initial_responses(
     return blocks
 
 
+# How much larger than on the rows that tell it the rest of a record may show a part of the initial state.
+LARGEST_AMPLIFICATION = 10.0
+
+
 def estimate_initial_state(
     free: np.ndarray,
     measured: np.ndarray,
     run: np.ndarray,
     initial: InitialChoice,
     rows: int | None,
-    largest_amplification: float = 10.0,
+    error: float = 0.0,
 ) -> np.ndarray:
     """Shares (m,) of the free responses (k, m), over after k rows, that meet ``measured - run`` (N,), NaN in gaps, on the first rows.
 
     ``"measured"`` meets as many rows as there are responses exactly; ``"estimated"`` the first ``rows`` by least squares. A
-    direction that these rows barely determine, and that the rest of the record would show more than ``largest_amplification`` times
-    larger, is left at zero.
+    direction that these rows barely determine is left at zero: one that the rest of the record would show more than
+    `LARGEST_AMPLIFICATION` times larger than these rows, and larger than the ``error`` that its run has anyway.
     """
     if not free.shape[1]:
         return np.zeros(0)
@@ -646,11 +675,18 @@ def estimate_initial_state(
     _, size, right = np.linalg.svd(triangle, full_matrices=False)
     significant = size > numerics.NEGLIGIBLE_SINGULAR_VALUE * size[0]
     back = right[significant].T / size[significant]
-    u, s, v = np.linalg.svd(free[usable] @ back / np.sqrt(count), full_matrices=False)
+    seen, wanted = free[usable] @ back / np.sqrt(count), target[usable] / np.sqrt(count)
+    u, s, v = np.linalg.svd(seen, full_matrices=False)
     # Coordinates of unit size over the whole record: a small singular value on the first rows is what the rest would
     # amplify.
-    shown = s * largest_amplification > 1
-    z = v[shown].T @ (u[:, shown].T @ target[usable] / s[shown]) / np.sqrt(count)
+    amplification = LARGEST_AMPLIFICATION
+    spare = count - len(s)
+    if error and spare > len(s):
+        # What no state explains on these rows is all that there is to amplify.
+        unexplained = np.linalg.norm(wanted - u @ (u.T @ wanted)) * np.sqrt(count / spare)
+        amplification = max(amplification, error / max(unexplained, numerics.TINY))
+    shown = s * amplification > 1
+    z = v[shown].T @ (u[:, shown].T @ wanted / s[shown])
     return back @ z
 
 

@@ -1,12 +1,13 @@
 """Prediction-error models: errors, gradients, the search with its starts, and the finished model with its covariance.
 
-Over ``theta`` the sum of squares of ``e = D / C (A y - sum B / F u - constant)`` is minimised. The unknown past of each record
+Over ``theta`` the sum of squares of ``e = D / C (A y - sum B / F u - constant / F_1)`` is minimised. The unknown past of each record
 (of each part between gaps, where the predictor uses measured outputs) enters linearly; it is eliminated by projecting
 errors and gradients off its responses (variable projection, Golub and Pereyra 1973, with Kaufman's gradient). The gradients are
 filtered signals (Ljung, System identification, 2nd ed., section 10.3)::
 
     de/da_j = D / C q^-j y      de/db_j = -D / (C F) q^-j u      de/df_j = 1 / (C F) q^-j w,   w = D B / F u + its past
-    de/dc_j = -1 / C q^-j e     de/dd_j = 1 / C q^-j (A y - sum B / F u - constant)
+    de/dc_j = -1 / C q^-j e     de/dd_j = 1 / C q^-j (A y - sum B / F u - constant / F_1)
+    de/dconstant = -D / (C F_1)
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
+from scipy.linalg import null_space
 from scipy.signal import lfilter
 
 from greybox.base.errors import DataError, nearest
@@ -36,6 +38,7 @@ from greybox.comparison.blackbox.linear_regression import (
 )
 from greybox.comparison.blackbox.polynomial import (
     ONE,
+    ConstantCourse,
     PolynomialModel,
     PolynomialStructure,
     compute_initial_responses,
@@ -214,6 +217,7 @@ def _each_block_of_errors(
     memory = count_rows_of_memory(model, part.rows, c)
     through = [BlockFilter(b, f) for b, f in zip(model.b, model.f, strict=True)]
     regression, whitened = BlockFilter(model.a, ONE), BlockFilter(d, c)
+    course = ConstantCourse(model.f[0], rest) if structure.offset else None
     slopes = _Slopes.of(structure, model) if with_gradient else None
     for rows in each_block(part.rows, memory):
         begins = rows.start == 0
@@ -221,8 +225,9 @@ def _each_block_of_errors(
         driven = [run(signal[rows]) for run, signal in zip(through, part.signals, strict=True)]
         # Output error: the zeros in the gaps meet no filter, and their rows are left out below.
         y = part.y[rows] if measured.all() else np.where(measured, part.y[rows], 0.0)
-        equation_error = regression(y) - sum(driven) - (model.constant or 0.0)
-        # e = D / C (A y - sum B / F u - constant)
+        constant = course(len(y)) if course is not None else np.zeros(len(y))
+        equation_error = regression(y) - sum(driven) - (model.constant or 0.0) * constant
+        # e = D / C (A y - sum B / F u - constant / F_1)
         e = whitened(equation_error)
         projection = _project(np.empty((0, 0)))
         blocks = []
@@ -241,7 +246,17 @@ def _each_block_of_errors(
             # The past as found belongs to the errors that the gradient of C sees: de/dc_j = -1 / C q^-j e.
             e[:memory] -= responses @ initial
         functions = [each[rows] for each in part.basis]
-        gradient = slopes.take(part, rows, y, equation_error, driven, e, functions)[measured]
+        if structure.offset and not rest:
+            # F_1 acts on what drives the first input and on the constant.
+            driven[0] = driven[0] + (model.constant or 0.0) * constant
+        gradient = slopes.take(part, rows, y, equation_error, driven, constant, e, functions)
+        if rest and structure.offset:
+            # A constant that had always been there, c / F_1(1): its derivative to each f is -c / F_1(1)^2.
+            first = sum((structure.orders.na, *structure.orders.nb))
+            last = structure.size - 1
+            share = (model.constant or 0.0) / model.f[0].sum()
+            gradient[:, first : first + structure.nf[0]] -= share * gradient[:, [last]]
+        gradient = gradient[measured]
         yield projected, projection.remove(gradient), projection.states
 
 
@@ -306,7 +321,7 @@ class _Slopes:
             "drive": [BlockFilter(d, ONE) for _ in below],
             # de/dc_j = -1 / C q^-j e
             "c": [BlockFilter(ONE, c)],
-            # de/dd_j = 1 / C q^-j (A y - sum B / F u - constant)
+            # de/dd_j = 1 / C q^-j (A y - sum B / F u - constant / F_1)
             "d": [BlockFilter(ONE, c)],
             "constant": [BlockFilter(d, c)],
             "basis": [BlockFilter(np.convolve(b, d), each) for b, each in zip(model.b, below, strict=True)],
@@ -331,6 +346,7 @@ class _Slopes:
         y: np.ndarray,
         equation_error: np.ndarray,
         driven: Sequence[np.ndarray],
+        constant: np.ndarray,
         e: np.ndarray,
         functions: Sequence[np.ndarray],
     ) -> np.ndarray:
@@ -349,7 +365,7 @@ class _Slopes:
         slopes = columns("a", 0, y, range(1, orders.na + 1), 1.0)
         for i, (nb, nk, signal) in enumerate(zip(orders.nb, orders.nk, part.signals, strict=True)):
             slopes += columns("b", i, signal[rows], range(nk, nk + nb), -1.0)
-        # w = D B / F u + its past, which is a pulse in the first row through q^-j / F.
+        # w = D B / F u (of the first input with the constant) + its past, which is a pulse in the first row through q^-j / F.
         pulse = np.zeros(len(y))
         pulse[: rows.start == 0] = 1.0
         for i, (nf, w, past) in enumerate(zip(structure.nf, driven, self.past, strict=True)):
@@ -360,7 +376,7 @@ class _Slopes:
         slopes += columns("c", 0, e, range(1, structure.nc + 1), -1.0)
         slopes += columns("d", 0, equation_error, range(1, structure.nd + 1), 1.0)
         if structure.offset:
-            slopes.append(-self.filters["constant"][0](np.ones(len(y))))
+            slopes.append(-self.filters["constant"][0](constant))
         slopes += [-slope(each) for slope, each in zip(self.filters["basis"], functions, strict=False)]
         return np.column_stack(slopes)
 
@@ -399,26 +415,75 @@ def minimise_prediction_errors(
     policy: PredictionErrorPolicy = DEFAULT_SEARCH,
     iterations: int | None = None,
 ) -> PredictionErrorMinimum:
-    """Damped Gauss-Newton steps from ``start`` (p,); ``iterations``: None takes those of the ``policy``."""
+    """Damped Gauss-Newton steps from ``start`` (p,); ``iterations``: None takes those of the ``policy``.
+
+    Where that ends at an integrator the steps go on along the limit: those that point beyond it had nowhere to go.
+    """
+    limit = policy.iterations if iterations is None else iterations
     begin = problem.stabilise(start)
-    unbounded = np.full(len(begin), np.inf)
-    first = _ErrorModel.at(problem.evaluate(begin, True))
+    free = _search(problem, begin, np.eye(len(begin)), policy, limit)
+    kept = keep_integrators(problem.structure, free.theta)
+    if kept is None:
+        return free
+    along = _search(problem, free.theta, kept, policy, limit)
+    return along if along.errors.squares < free.errors.squares else free
+
+
+def _search(
+    problem: PredictionErrorProblem,
+    begin: np.ndarray,
+    directions: np.ndarray,
+    policy: PredictionErrorPolicy,
+    iterations: int,
+) -> PredictionErrorMinimum:
+    """Damped Gauss-Newton steps from ``begin`` (p,) along ``directions`` (p, m)."""
+    everywhere = directions.shape[0] == directions.shape[1]
+
+    def at(z: np.ndarray) -> np.ndarray:
+        return z if everywhere else begin + directions @ z
+
+    def evaluate(z: np.ndarray) -> _ErrorModel:
+        return _ErrorModel.at(problem.evaluate(at(z), True), directions)
+
+    z = begin if everywhere else np.zeros(directions.shape[1])
+    unbounded = np.full(len(z), np.inf)
+    first = evaluate(z)
     result = minimise(
-        lambda theta: _ErrorModel.at(problem.evaluate(theta, True)),
-        begin,
+        evaluate,
+        z,
         -unbounded,
         unbounded,
         method=MinimisationMethod.GAUSS_NEWTON,
         value_at_start=first,
-        iterations=policy.iterations if iterations is None else iterations,
+        iterations=iterations,
         termination_test=Termination(policy.termination, count=first.errors.count).test,
-        project=problem.stabilise,
-        cost=lambda theta: problem.evaluate(theta, False).squares,
+        # Along the limit the other roots stay inside by the cost: beyond the circle the errors grow.
+        project=problem.stabilise if everywhere else None,
+        cost=lambda z: problem.evaluate(at(z), False).squares,
         policy=MinimisationPolicy(damped=policy.damped),
     )
     # Where no step is short enough to help, the errors are as small as rounding allows.
     ended = result.status is not TerminationStatus.ITERATION_LIMIT
-    return PredictionErrorMinimum(result.z, (result.value or first).errors, result.iterations, ended)
+    return PredictionErrorMinimum(at(result.z), (result.value or first).errors, result.iterations, ended)
+
+
+# A real root of ``F`` this near one is an integrator's.
+INTEGRATOR = 1e-6
+
+
+def keep_integrators(structure: PolynomialStructure, theta: np.ndarray) -> np.ndarray | None:
+    """Directions (p, m), orthonormal, in which every integrator of an ``F`` stays where it is; None where there is none."""
+    parts, ends = structure.parts(theta[: structure.size]), np.cumsum(structure.sizes)
+    n, rows = len(structure.nf), []
+    for k in range(1 + n, 1 + 2 * n):
+        roots = np.roots(to_monic(parts[k]))
+        near = roots.real[(np.abs(roots.imag) < INTEGRATOR) & (roots.real > 1 - INTEGRATOR)]
+        if len(near):
+            # F(r) = 1 + sum f_j r^-j = 0 is linear in F.
+            row = np.zeros(len(theta))
+            row[ends[k - 1] : ends[k]] = near.max() ** -np.arange(1.0, len(parts[k]) + 1)
+            rows.append(row)
+    return null_space(np.array(rows)) if rows else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -428,12 +493,16 @@ class _ErrorModel(QuadraticModel):
     errors: PredictionErrors
 
     @classmethod
-    def at(cls, errors: PredictionErrors) -> _ErrorModel:
+    def at(cls, errors: PredictionErrors, directions: np.ndarray) -> _ErrorModel:
+        """Near ``errors``, along ``directions`` (p, m)."""
         assert errors.triangle is not None
+        m = directions.shape[1]
         if not np.isfinite(errors.squares) or not np.isfinite(errors.triangle).all():
-            p = errors.gradient.shape[1]
-            return cls(np.inf, np.zeros(p), np.zeros((p, p)), errors)
-        model = QuadraticModel.from_triangle(errors.triangle, errors.squares)
+            return cls(np.inf, np.zeros(m), np.zeros((m, m)), errors)
+        triangle = errors.triangle
+        if m < len(directions):
+            triangle = np.linalg.qr(np.column_stack([errors.gradient @ directions, triangle[:, -1]]), mode="r")
+        model = QuadraticModel.from_triangle(triangle, errors.squares)
         return cls(model.cost, model.gradient, model.hessian, errors, factor=model.factor)
 
 

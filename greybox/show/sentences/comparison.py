@@ -247,7 +247,8 @@ def polynomial_equation(model: PolynomialModel) -> str:
         mark = str(i) if several else ""
         terms.append(f"B{mark}(q)" + (f" / F{mark}(q)" if len(f) > 1 else "") + f" {name}(k)")
     if model.constant is not None:
-        terms.append("constant")
+        first = "1" if several else ""
+        terms.append(f"constant / F{first}(q)" if len(model.f[0]) > 1 else "constant")
     noise = "C(q)" if len(model.c) > 1 else ""
     if len(model.d) > 1:
         noise = f"{noise or '1'} / D(q)"
