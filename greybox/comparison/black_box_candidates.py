@@ -10,9 +10,10 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import SAME_SAMPLING_TIME, TINY
-from greybox.comparison.blackbox.best_models import best_black_boxes, hold_out
+from greybox.comparison.blackbox.best_models import best_black_boxes
+from greybox.comparison.blackbox.cross_validation import Fold, hold_out
 from greybox.comparison.blackbox.resample import keep_measured_rows, match_sampling_time, resample
-from greybox.comparison.blackbox.structure_scan import AS_GOOD, score_free_run
+from greybox.comparison.blackbox.structure_scan import AS_GOOD
 from greybox.comparison.blackbox.subspace import StateSpaceModel, SubspaceOutput, scan_orders, subspace
 from greybox.comparison.compare import NamedModel
 from greybox.comparison.result import DEFAULT_COMPARISON, BlackBoxModel, ComparisonFinding, ComparisonPolicy
@@ -155,17 +156,16 @@ def _identify_state_space(
     """One model of every input and output: of the order and weights whose free run follows rows that it was not fitted to best."""
     folds = hold_out(records, outputs, inputs)
 
-    def measure(model: StateSpaceModel, judged: Sequence[Experiment], skip: int, validation: bool) -> float:
+    def measure(model: StateSpaceModel, fold: Fold) -> float:
         """Mean square of the free run's error over that of the outputs' movement; infinite for a run that overflows."""
-        scores = [score_free_run(box, judged, skip, validation=validation) for box in model.boxes()]
+        scores = [fold.score(box, box.output) for box in model.boxes()]
         return sum((s.rmse / max(s.movement, TINY)) ** 2 for s in scores)
 
     try:
         errors: dict[tuple[str, int], list[float]] = {}
-        for estimation, validation, skip in folds:
-            for model in scan_orders(estimation, outputs, inputs):
-                error = measure(model, validation or estimation, skip, bool(validation))
-                errors.setdefault((model.weight, model.order), []).append(error)
+        for fold in folds:
+            for model in scan_orders(fold.estimation, outputs, inputs):
+                errors.setdefault((model.weight, model.order), []).append(measure(model, fold))
         tried = {key: float(np.mean(each)) for key, each in errors.items() if len(each) == len(folds)}
         # As of a difference equation: of those that run equally well the smallest.
         limit = (1 + AS_GOOD) ** 2 * min(tried.values())

@@ -8,12 +8,12 @@ from itertools import product
 import numpy as np
 
 from greybox.base.errors import DataError
+from greybox.comparison.blackbox.cross_validation import hold_out
 from greybox.comparison.blackbox.hammerstein import find_levels
 from greybox.comparison.blackbox.linear_regression import Origin, SampledData, to_sampled_data
 from greybox.comparison.blackbox.structure_scan import (
     DEFAULT_SCAN,
     BlackBoxKind,
-    Fold,
     OrderChoice,
     ScannedStructure,
     StructureScan,
@@ -48,11 +48,11 @@ def best_black_boxes(
 ) -> dict[BlackBoxKind, StructureScan]:
     """Find the best model of each kind for one output, each by a scan of its own, and fit it to all the records.
 
-    Orders are chosen by cross-validation of the free-run error: of several records the last third validates, then the first; of a
-    single one its last 30 %, then its first, if an input moves there; else (a step that has settled) the free run over the record
-    itself. ARX models are scanned with prediction and with simulation focus, over up to six poles and the delays around the best; the
-    others start from the delay found there. Signals are measured from their means, or from where they rest before a record. An input
-    that never moves is left out.
+    Orders are chosen by cross-validation of the free-run error: of several records each third validates, of a single one its end,
+    its beginning and its middle, if an input moves there; else (a step that has settled) the free run over the record itself. ARX
+    models are scanned with prediction and with simulation focus, over up to six poles and the delays around the best; the others
+    start from the delay found there. Signals are measured from their means, or from where they rest before a record. An input that
+    never moves is left out.
 
     Parameters
     ----------
@@ -92,11 +92,8 @@ def best_black_boxes(
     whole = to_sampled_data(experiments, output, inputs)
     moving = find_moving_inputs(whole, at_rest)
     whole = to_sampled_data(whole.experiments, whole.output, moving)
-    folds = [
-        Fold(to_sampled_data(estimation, whole.output, whole.inputs), validation, skip)
-        for estimation, validation, skip in hold_out(whole.experiments, (whole.output,), whole.inputs)
-    ]
-    data = folds[0].data
+    folds = hold_out(whole.experiments, (whole.output,), whole.inputs)
+    data = to_sampled_data(folds[0].estimation, whole.output, whole.inputs)
     scans: dict[BlackBoxKind, StructureScan] = {}
     reason = "no kinds asked for"
     for kind in ALL_KINDS:
@@ -114,11 +111,11 @@ def best_black_boxes(
         try:
             scans[kind] = scan_choices(
                 folds,
+                whole,
                 kind,
                 choices,
                 units=units,
                 report=report_scan,
-                final=whole,
                 policy=policy,
             )
         except DataError as error:
@@ -126,14 +123,6 @@ def best_black_boxes(
     if not any(k in scans for k in kinds):
         raise DataError(f"output {whole.output!r}: no black-box model of these records: {reason}")
     return {BlackBoxKind(k): scans[BlackBoxKind(k)] for k in kinds if k in scans}
-
-
-# Share of a single record, its end and then its beginning, that is held out for validation.
-HOLDOUT_SHARE = 0.3
-# A part of a record validates if an input moves there by this share of its range.
-HOLDOUT_EXCITATION = 0.3
-# Measured values that such a part must hold.
-HOLDOUT_VALUES = 60
 
 
 def find_moving_inputs(data: SampledData, at_rest: bool) -> list[str]:
@@ -150,48 +139,6 @@ def find_moving_inputs(data: SampledData, at_rest: bool) -> list[str]:
     raise DataError(
         f"output {data.output!r}: no input ever moves ({', '.join(data.inputs)}); a black box needs one that does"
     )
-
-
-def hold_out(
-    experiments: Sequence[Experiment], outputs: Sequence[str], inputs: Sequence[str]
-) -> list[tuple[tuple[Experiment, ...], tuple[Experiment, ...], int]]:
-    """Folds of a cross-validation: estimation records, validation records, and how many first rows of these do not count.
-
-    The end of the records is held out, then their beginning. Without validation records where only the estimation records themselves
-    can serve.
-    """
-    if len(experiments) > 1:
-        shortened, count = _shorten(experiments), max(1, len(experiments) // 3)
-        return [(shortened[:-count], shortened[-count:], 0), (shortened[count:], shortened[:count], 0)]
-    (record,) = _shorten(experiments)
-    if record.rows < 2 * HOLDOUT_VALUES:
-        return [((record,), (), 0)]
-    cut = round((1 - HOLDOUT_SHARE) * record.rows)
-    # Of the end the whole record is run, so that it begins with the state that the run has there.
-    folds = [
-        ((record.window(0, cut),), (record,), cut),
-        ((record.window(record.rows - cut, record.rows),), (record.window(0, record.rows - cut),), 0),
-    ]
-    spans = {name: np.ptp(record.inputs[name]) for name in inputs}
-
-    def shows(part: Experiment) -> bool:
-        """Whether a part of the record can judge: an end at rest would praise any model with the right gain."""
-        values = min(int(np.isfinite(part.outputs[name]).sum()) for name in outputs)
-        moving = any(np.ptp(part.inputs[name]) > HOLDOUT_EXCITATION * span for name, span in spans.items())
-        return values >= HOLDOUT_VALUES and moving
-
-    kept = [(e, v, skip) for e, v, skip in folds if shows(v[0].window(skip, v[0].rows)) and shows(e[0])]
-    return kept or [((record,), (), 0)]
-
-
-# Rows of all records that a scan uses; the chosen structure is fitted to all.
-SCANNED_ROWS = 20000
-
-
-def _shorten(experiments: Sequence[Experiment]) -> tuple[Experiment, ...]:
-    """The first rows of each record, `SCANNED_ROWS` in all."""
-    share = min(1.0, SCANNED_ROWS / sum(e.rows for e in experiments))
-    return tuple(e if share == 1 else e.window(0, max(2, int(share * e.rows))) for e in experiments)
 
 
 def _choices(
@@ -214,7 +161,7 @@ def _choices(
                 yield {"na": na, "nb": nb, "nk": nk, "focus": focus, **beginning}
         return
     arx = scans[BlackBoxKind.ARX].chosen.orders if BlackBoxKind.ARX in scans else {"nk": 1, **beginnings[-1]}
-    nk, beginning = arx["nk"], {name: arx[name] for name in ("at_rest", "offset")}
+    nk, beginning = arx["nk"], {name: bool(arx[name]) for name in ("at_rest", "offset")}
     poles = range(1, policy.largest_searched_poles + 1)
     if kind == BlackBoxKind.ARMAX:
         for n, delay in product(poles, sorted({nk, 1})):

@@ -290,7 +290,7 @@ def _project(responses: np.ndarray) -> _Projection:
     if not responses.size:
         return _Projection(np.empty((0, 0)), np.zeros((responses.shape[1], 0)))
     q, triangle = np.linalg.qr(responses)
-    left, size, right = np.linalg.svd(triangle)
+    left, size, right = np.linalg.svd(triangle, full_matrices=False)
     # Responses of several inputs may span the same: a dependent one is no further state.
     kept = size > NEGLIGIBLE_SINGULAR_VALUE * size[0]
     return _Projection(q @ left[:, kept], right[kept].T / size[kept])
@@ -501,7 +501,8 @@ class _ErrorModel(QuadraticModel):
             return cls(np.inf, np.zeros(m), np.zeros((m, m)), errors)
         triangle = errors.triangle
         if m < len(directions):
-            triangle = np.linalg.qr(np.column_stack([errors.gradient @ directions, triangle[:, -1]]), mode="r")
+            along = np.column_stack([errors.gradient @ directions, triangle[:, -1]])
+            triangle = np.asarray(np.linalg.qr(along, mode="r"))
         model = QuadraticModel.from_triangle(triangle, errors.squares)
         return cls(model.cost, model.gradient, model.hessian, errors, factor=model.factor)
 

@@ -14,6 +14,7 @@ import numpy as np
 from greybox.base.errors import DataError, nearest
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.arx import fit_arx
+from greybox.comparison.blackbox.cross_validation import Fold
 from greybox.comparison.blackbox.hammerstein import HammersteinModel, fit_hammerstein
 from greybox.comparison.blackbox.linear_regression import SampledData, to_orders, to_sampled_data
 from greybox.comparison.blackbox.polynomial import PolynomialModel
@@ -25,10 +26,7 @@ from greybox.comparison.blackbox.prediction_error import (
 )
 from greybox.comparison.blackbox.prediction_error_models import STARTS, make_structure
 from greybox.data.experiment import Experiment, as_records
-from greybox.estimation.errors import OutputScore
 from greybox.estimation.optim.minimisation import TerminationPolicy
-from greybox.estimation.predictor import PredictingModel
-from greybox.estimation.score import run_by_itself
 
 
 @dataclass(frozen=True)
@@ -246,7 +244,8 @@ def scan_structures(
     choices = [dict(zip(axes, values, strict=True)) | {"at_rest": at_rest} for values in product(*axes.values())]
     data = to_sampled_data(experiments, output, inputs)
     return scan_choices(
-        [Fold(data, tuple(as_records(validation)), skip)],
+        [Fold.of(data.experiments, as_records(validation), skip)],
+        data,
         BlackBoxKind(kind),
         choices,
         criterion=criterion,
@@ -256,47 +255,33 @@ def scan_structures(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Fold:
-    """What a structure is fitted to, and the records that judge it without their first ``skip`` rows; none: those that it was fitted to."""
-
-    data: SampledData
-    validation: tuple[Experiment, ...] = ()
-    skip: int = 0
-
-    def measure(self, model: PredictingModel) -> float:
-        """Root mean square error of the free run over the records that judge."""
-        return score_free_run(
-            model, self.validation or self.data.experiments, self.skip, validation=bool(self.validation)
-        ).rmse
-
-
 # Structures, the best of the first fold, that the other folds judge as well: a single part of a record may praise one by chance.
-SECOND_LOOK = 16
+SECOND_LOOK, SECOND_LOOK_OF_ARX = 16, 64
 
 
 def scan_choices(
     folds: Sequence[Fold],
+    whole: SampledData,
     kind: BlackBoxKind,
     choices: Iterable[OrderChoice],
     *,
     criterion: SelectionCriterion = "free run",
     units: Mapping[str, str] | None = None,
     report: Callable[[int, int, ScannedStructure], None] | None = None,
-    final: SampledData | None = None,
     policy: StructureScanPolicy = DEFAULT_SCAN,
 ) -> StructureScan:
-    """`scan_structures` over a list of ``choices``; the chosen one is fitted to ``final`` (None: to the records of the first fold)."""
+    """`scan_structures` over a list of ``choices``; the chosen one is fitted to the ``whole`` data."""
     first, *others = folds
+    data = to_sampled_data(first.estimation, whole.output, whole.inputs)
     listed, structures, began = list(choices), [], time.perf_counter()
     for done, orders in enumerate(listed, 1):
         try:
-            model = fit_structure(first.data, kind, orders, policy=policy.search)
+            model = fit_structure(data, kind, orders, policy=policy.search)
         except DataError as error:
             written = ", ".join(f"{letter} {orders[letter]}" for letter in ORDERS_BY_KIND[kind] if letter in orders)
             structure = ScannedStructure(f"{kind}({written})", orders, failure=str(error))
         else:
-            structure = ScannedStructure(model.label, orders, model, free_run=first.measure(model))
+            structure = ScannedStructure(model.label, orders, model, free_run=_measure(first, model))
         structures.append(structure)
         if report is not None:
             report(done, len(listed), structure)
@@ -307,64 +292,81 @@ def scan_choices(
             else f"{kind}: no structure to fit; give at least one order of each kind"
         )
     structures = _add_criteria(structures)
-    ranked = _rank([s for s in structures if s.model is not None], criterion)
+    ranked, look = _rank([s for s in structures if s.model is not None], criterion), 1
     if others and criterion == "free run":
-        looked_at = {id(s): _judge_again(s, kind, others, policy.search) for s in ranked[:SECOND_LOOK]}
+        # ARX models are cheap, and do not minimise the error of their free run: that on their own rows tells more.
+        looks, look = (SECOND_LOOK_OF_ARX, FULL_FITS_OF_ARX) if kind == BlackBoxKind.ARX else (SECOND_LOOK, 1)
+        looked_at = {id(s): _judge_again(s, whole, kind, others, policy.search) for s in ranked[:looks]}
         structures = [looked_at.get(id(s), s) for s in structures]
         ranked = _rank(list(looked_at.values()), criterion)
-    chosen, best = _fit_in_full(ranked[:FULL_FITS], final or first.data, kind, policy.final_search)
+    chosen, best = _fit_in_full(ranked, whole, kind, policy.final_search, look)
     known_units = units or {}
     return StructureScan(
         tuple(structures),
         chosen,
         with_units(best, known_units),
         criterion,
-        tuple(dict.fromkeys(e.name for fold in folds for e in fold.validation)),
-        known_units.get(first.data.output, ""),
+        tuple(dict.fromkeys(e.name for fold in folds if fold.judged != fold.estimation for e in fold.judged)),
+        known_units.get(whole.output, ""),
         time.perf_counter() - began,
         policy,
     )
 
 
+def _measure(fold: Fold, model: BlackBox) -> float:
+    """The free-run error; infinite where it diverges."""
+    error = fold.score(model, model.output).rmse
+    return error if np.isfinite(error) else np.inf
+
+
 def _judge_again(
-    structure: ScannedStructure, kind: BlackBoxKind, folds: Sequence[Fold], policy: PredictionErrorPolicy
+    structure: ScannedStructure,
+    whole: SampledData,
+    kind: BlackBoxKind,
+    folds: Sequence[Fold],
+    policy: PredictionErrorPolicy,
 ) -> ScannedStructure:
     """The structure with its error over all folds, each with a model of its own."""
-    # Only the first rows of a record are at rest.
-    orders, errors = {**structure.orders, "at_rest": False, "offset": True}, [structure.free_run]
+    errors = [structure.free_run]
     for fold in folds:
+        data = to_sampled_data(fold.estimation, whole.output, whole.inputs)
         try:
-            errors.append(fold.measure(fit_structure(fold.data, kind, orders, policy=policy)))
+            errors.append(_measure(fold, fit_structure(data, kind, structure.orders, policy=policy)))
         except DataError:
             errors.append(np.inf)
     return replace(structure, free_run=float(np.sqrt(np.mean(np.square(errors)))), folds=len(errors))
 
 
-# Structures that are fitted in full at most, best first, until one is stable and follows its records.
-FULL_FITS = 3
+# Structures that are fitted in full at most, best first.
+FULL_FITS, FULL_FITS_OF_ARX = 3, 16
 
 
 def _fit_in_full(
-    ranked: Sequence[ScannedStructure], data: SampledData, kind: BlackBoxKind, policy: PredictionErrorPolicy
+    ranked: Sequence[ScannedStructure], data: SampledData, kind: BlackBoxKind, policy: PredictionErrorPolicy, look: int
 ) -> tuple[ScannedStructure, BlackBox]:
-    """The first structure whose model of all rows is stable and better than a constant on them; the first of all where none is."""
-    fitted = []
+    """The first structure whose model of all rows is stable and better than a constant on them; the first of all where none is.
+
+    Of the first ``look`` the one that is best over held-out and own rows together, where there are several.
+    """
+    fitted: list[tuple[float, ScannedStructure, BlackBox]] = []
     reason = ""
-    for structure in ranked:
+    for structure in ranked[: max(look, FULL_FITS)]:
         try:
             # Once more on all rows: what was held out for the choice is worth its information.
             model = fit_structure(data, kind, structure.orders, policy=policy)
         except DataError as error:
             reason = str(error)
             continue
-        fitted.append((structure, model))
+        score = Fold.of(data.experiments).score(model, data.output)
         # A model that was stable on fewer rows need not be so on all.
-        score = score_free_run(model, data.experiments, 0, validation=False)
-        if model.stable and score.rmse < score.movement:
-            return fitted[-1]
+        sound = model.stable and score.rmse < score.movement
+        fitted.append((float(np.hypot(structure.free_run, score.rmse)) if sound else np.inf, structure, model))
+        if sound and look == 1:
+            return structure, model
     if not fitted:
         raise DataError(reason)
-    return fitted[0]
+    _, chosen, best = min(fitted, key=lambda each: each[0])
+    return chosen, best
 
 
 def fit_structure(
@@ -396,23 +398,6 @@ def with_units(model: BlackBox, units: Mapping[str, str]) -> BlackBox:
     """``model`` with the units of its signals."""
     linear = replace(get_linear_part(model), units=dict(units))
     return replace(model, linear=linear) if isinstance(model, HammersteinModel) else linear
-
-
-# Rows of a validation record that determine the initial state, where no ``skip`` is given.
-STRUCTURE_SCAN_INITIAL_ROWS = 50
-
-
-def score_free_run(
-    model: PredictingModel, records: Sequence[Experiment], skip: int, *, validation: bool
-) -> OutputScore:
-    """Errors of the free runs over ``records``, from rest for a model that was fitted from rest.
-
-    The rows that determine the initial state of a record for ``validation``, the first ``skip``, are not judged; on the records of the
-    estimation all rows determine it, and count.
-    """
-    rows, first = ((skip or STRUCTURE_SCAN_INITIAL_ROWS), skip) if validation else (None, 0)
-    initial = "zero" if getattr(model, "history", "") == "zero" else "estimated"
-    return OutputScore.of([r for e in records for r in run_by_itself(model, e, (), first, initial=initial, rows=rows)])
 
 
 def _add_criteria(structures: Sequence[ScannedStructure]) -> list[ScannedStructure]:
@@ -450,6 +435,8 @@ def _rank(fitted: Sequence[ScannedStructure], criterion: SelectionCriterion) -> 
         one_step = model is not None and get_linear_part(model).kind != BlackBoxKind.OUTPUT_ERROR
         if structure.free_run > limit:
             return (1.0, structure.free_run, count)
-        return (0.0, structure.bic if one_step else count, count, structure.free_run)
+        # Of as many coefficients those without a direct share of the input, which no plant with inertia has.
+        at_once = float(model is not None and any(model.feedthrough.values()))
+        return (0.0, structure.bic if one_step else count, count, at_once, structure.free_run)
 
     return sorted(pool, key=simplicity)

@@ -272,7 +272,7 @@ def subspace(
         raise DataError("no experiment; give at least one record")
     if weight not in WEIGHTS:
         raise DataError(f"unknown weight {weight!r}; {nearest(weight, WEIGHTS)}")
-    return _Projection.of(
+    return _RecordProjection.of(
         group, tuple(outputs or group[0].outputs), tuple(inputs or group[0].inputs), order, weight
     ).identify(order, feedthrough)
 
@@ -282,13 +282,13 @@ def scan_orders(
 ) -> Iterator[StateSpaceModel]:
     """Models of every order that the records support, with the weights of N4SID and of CVA. Raises DataError as `subspace` does."""
     for weight in WEIGHTS:
-        projection = _Projection.of(experiments, tuple(outputs), tuple(inputs), None, weight)
+        projection = _RecordProjection.of(experiments, tuple(outputs), tuple(inputs), None, weight)
         for order in range(1, projection.most + 1):
             yield projection.identify(order)
 
 
 @dataclass(frozen=True, eq=False)
-class _Projection:
+class _RecordProjection:
     """The observability matrix of records by its columns, the most important first, and what a model of some order is made of."""
 
     inputs: tuple[str, ...]
@@ -310,7 +310,7 @@ class _Projection:
         inputs: tuple[str, ...],
         order: int | None,
         weight: str,
-    ) -> _Projection:
+    ) -> _RecordProjection:
         """That of the records; ``order``: the one that is wanted."""
         recorded, step = _collect_segments(group, outputs, inputs)
         if not recorded:
