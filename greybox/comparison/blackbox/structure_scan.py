@@ -256,7 +256,7 @@ def scan_structures(
 
 
 # Structures, the best of the first fold, that the other folds judge as well: a single part of a record may praise one by chance.
-SECOND_LOOK, SECOND_LOOK_OF_ARX = 16, 64
+SECOND_LOOK, SECOND_LOOK_OF_ARX = 8, 64
 
 
 def scan_choices(

@@ -62,20 +62,21 @@ def test_a_model_is_the_same_in_any_units_and_anywhere(method):
         np.testing.assert_allclose(errors(factors), expected, atol=EXACT * np.std(expected), err_msg=str(factors))
 
 
+@pytest.mark.slow
 def test_the_best_black_boxes_and_their_scores_are_the_same_in_any_units_and_anywhere():
-    few = PredictionErrorPolicy(starts=2, first_iterations=3, iterations=30)
+    few = PredictionErrorPolicy(starts=1, first_iterations=3, iterations=30)
     scan = gb.blackbox.StructureScanPolicy(
         search=few,
         final_search=few,
         largest_poles=2,
-        largest_searched_poles=2,
+        largest_searched_poles=1,
         first_delays=(1,),
         nonlinearities={"polynomial": (2,)},
     )
 
     def scores(factors):
         train, judge = record(1, factors), record(2, factors)
-        models, _ = fit_black_boxes([train], ["y", "z"], ["u", "v"], policy=ComparisonPolicy(scan=scan))
+        models, _ = fit_black_boxes([train], ["y"], ["u", "v"], policy=ComparisonPolicy(scan=scan))
         found = gb.compare({m.name: m.model for m in models}, judge, training=train)
         return {
             (e.name, *e.structure.values()): [
@@ -86,11 +87,10 @@ def test_the_best_black_boxes_and_their_scores_are_the_same_in_any_units_and_any
 
     expected = scores((1.0, 1.0, 0.0))
     assert {name for name, *_ in expected} >= {"arx", "armax", "output_error", "box_jenkins", "hammerstein", "subspace"}
-    for factors in UNITS[1:3]:
-        found = scores(factors)
-        assert list(found) == list(expected)
-        for name, values in expected.items():
-            assert found[name] == pytest.approx(values, rel=EXACT), name
+    found = scores((1e-6, 1e6, 3e3))
+    assert list(found) == list(expected)
+    for name, values in expected.items():
+        assert found[name] == pytest.approx(values, rel=EXACT), name
 
 
 def test_coefficients_far_from_zero_are_those_of_plain_least_squares():
