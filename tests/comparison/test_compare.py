@@ -275,7 +275,8 @@ def test_the_command_compares_writes_and_draws(run, tmp_path):
     judge = ["--validate", "first.csv", "--validate", "second.csv", "--skip", 20]
     done = run("train.csv", *judge, "--at-rest", "--predict", 5, "--no-report", "--figures", "--output", "out")
     assert done.exit_code == 0, done.output
-    assert done.stderr == "note: second.csv: output 'y' has 3 gaps in 90 rows\n"
+    # On a slow machine progress follows.
+    assert done.stderr.startswith("note: second.csv: output 'y' has 3 gaps in 90 rows\n")
     saved = json.loads((tmp_path / "out" / "compare.json").read_text())
     assert set(saved["models"]) == {"mass", *KINDS}
     assert {n: m["kind"] for n, m in saved["models"].items()} == {"mass": "grey", **dict.fromkeys(KINDS, "black")}
@@ -288,7 +289,10 @@ def test_the_command_compares_writes_and_draws(run, tmp_path):
     assert all((tmp_path / "out" / n).read_bytes().startswith(b"\x89PNG") for n in figures[::2])
     (best, *_) = saved["findings"]
     assert (best["code"], best["subject"], best["values"]["model"]["name"]) == ("best_model", "y", "mass")
-    assert saved["verdict"][0] in " ".join(done.stdout.split())
+    assert saved["verdict"][0].startswith(
+        "y, free run on the validation records: mass (grey box, 2 parameters) is best"
+    )
+    assert done.stdout.startswith("mass is best: its error in y on the validation records")
 
 
 def test_a_step_has_its_black_boxes(run, tmp_path, model):
