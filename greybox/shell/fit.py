@@ -115,6 +115,11 @@ def fit(study: Study) -> Answer:
         older = ", those there are of an earlier fit" if (saved.parent / "report.html").exists() else ""
         failure = f"interrupted; the best point so far is in {saved} (no figures, no report{older})"
         return Answer(**shown, failure=failure, code=ExitCode.INTERRUPTED)
+    from greybox.show.documents.fit import worse_than_constant
+
+    failure = "" if result.success else f"no success: {result.solver.status_message}"
+    if result.success and (lost := worse_than_constant(result)):
+        failure = f"the model does not explain its records: worse than a constant in {', '.join(lost)}"
     return Answer(
         **shown,
         next=next_command(study, result, saved),
@@ -122,8 +127,8 @@ def fit(study: Study) -> Answer:
         page=lambda: _write_page(answer, saved.parent / "report.html", study.uncounted),
         pictures=lambda: _draw_pictures(result, tests, saved.parent, study.uncounted),
         kept=f"the fit is in {saved}",
-        failure="" if result.success else f"no success: {result.solver.status_message}",
-        code=ExitCode.SUCCESS if result.success else ExitCode.UNSUCCESSFUL,
+        failure=failure,
+        code=ExitCode.UNSUCCESSFUL if failure else ExitCode.SUCCESS,
     )
 
 

@@ -319,6 +319,34 @@ runaway = Model(
 """
 
 
+GAIN = """
+from greybox import Balance, Input, Model, Output, Parameter, State
+
+gain = Model(
+    "gain",
+    states=[State("x", "V", 1.0)],
+    inputs=[Input("u", "V")],
+    outputs=[Output("x", "V")],
+    parameters=[Parameter("k", "1/s", 1.0, (0.5, 5.0)), Parameter("a", "1/s", 1.0)],
+    balances=lambda x, u, p: [Balance("rate", "V/s", 1, "x", drive=p.k * u.u, decay=-p.a * x.x)],
+).fix(a=1.0)
+"""
+
+
+def test_a_fit_worse_than_a_constant_is_exit_code_1(run: Run, tmp_path: Path) -> None:
+    """The drive of the rig has the other sign, which the bounds of its gain leave out: the optimum describes nothing."""
+    time = np.arange(0, 5, 0.05)
+    readings = -2 * (1 - np.exp(-time)) + 0.01 * np.random.default_rng(3).standard_normal(time.size)
+    (tmp_path / "gain.py").write_text(GAIN)
+    rows = [f"{t:.3f},1,{x:.5f}" for t, x in zip(time, readings, strict=True)]
+    (tmp_path / "step.csv").write_text("\n".join(["time [s],u [V],x [V]", *rows]) + "\n")
+    result = run("fit", "gain.py", "step.csv", "--at-rest", "--noise", "x=0.01", "--output", "out")
+    assert result.exit_code == 1
+    assert "their own mean follows x better than the model" in " ".join(result.stdout.split())
+    assert "worse than a constant in x" in result.stderr
+    assert json.loads((tmp_path / "out" / "fit.json").read_text())["success"] is True
+
+
 def test_ctrl_c_saves_the_best_point(run: Run, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     @contextmanager
     def impatient(*_: object) -> Iterator[Callable[[object], None]]:

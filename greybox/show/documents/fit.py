@@ -124,6 +124,11 @@ def fit_answer(fit: Fit) -> str:
             f"{title}: the noise is not known, so nothing says whether the error of the model is noise{_judged(fit)}."
         )
     output, m = worst
+    if lost := worse_than_constant(fit):
+        return (
+            f"{title} does not explain its records: their own mean follows {join_names(lost)} better than the model, and its constants"
+            f" mean nothing; {error_text(output, m)}."
+        )
     if m.noise_ratio > GOOD_MISFIT:
         says = "does not explain its records"
     elif _open_outputs(fit):
@@ -179,9 +184,14 @@ def explains_records(fit: Fit) -> bool:
     return all(w is None or w[1].noise_ratio <= GOOD_MISFIT for w in worst)
 
 
+def worse_than_constant(fit: Fit) -> list[str]:
+    """Outputs above their noise that their own mean would follow better than the model does: an optimum that describes nothing."""
+    return [n for n, m in judged_misfit(fit).items() if m.best_fit_percent < 0 and m.noise_ratio > GOOD_MISFIT]
+
+
 def fit_tone(fit: Fit) -> doc.Tone:
     """Green where the model explains its records and those that judge it, and every constant is determined."""
-    if not fit.success:
+    if not fit.success or worse_than_constant(fit):
         return doc.Tone.BAD
     if not explains_records(fit) or _worst(judged_misfit(fit)) is None or _undetermined(fit) or _open_outputs(fit):
         return doc.Tone.CAUTION
