@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NotRequired, TypedDict
 
 from greybox.base import Check, FileKind, Finding, Finite, Interval, Printable, StoredResult, read_json
+from greybox.data.input_course import Holds
 from greybox.discovery.claims import Claim, name_claim
 from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.disturbance_sites import SiteKind
@@ -234,9 +235,19 @@ class Discovery(Printable, StoredResult):
         gap=holdout test claims false_names effect_signals left ranking story next_steps=str(next_steps) notes=str(findings)
         not_tried=str(not_tried) failures checks path findings=all_findings policy options=stored_options seconds
         model=best.model.name equations=best.provenance.equations plain_equations?=base.provenance.equations
-        declared?=base.provenance.declared noise=best.noise.std noise_source=best.noise.source
+        declared?=base.provenance.declared hold? conditions? noise=best.noise.std noise_source=best.noise.source
         integration_error=best.discretisation.error search=best.solver.strategy versions=best.provenance.versions
         """
+
+    @property
+    def hold(self) -> Holds:
+        """How the inputs of the fitted records move between rows."""
+        return self.best.traces[0].hold
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """What stayed the same during each record, by name."""
+        return tuple(self.best.traces[0].conditions)
 
     @property
     def sites(self) -> tuple[str, ...]:

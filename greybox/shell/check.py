@@ -44,7 +44,7 @@ def check(study: Study) -> Answer:
         return look_at_files(study)
     model = inputs.constrain(inputs.build_model(study), study)
     inputs.check_substeps(study, model)
-    records, _ = inputs.read_records(study, model)
+    records = inputs.read_records(study, model).estimation
     folder = inputs.result_folder(study, model.name)
     result = check_model(
         model, records, noise=dict(study.noise), outputs=list(study.outputs) or None, options=inputs.fit_options(study)

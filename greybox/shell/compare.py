@@ -56,9 +56,9 @@ def compare(study: Study) -> Answer:
     models = [inputs.constrain(inputs.add_effects(plain, names), study) for names in ((), *extensions)]
     inputs.check_substeps(study, models[0])
     folder = inputs.result_folder(study, plain.name)
-    records, validation = inputs.read_records(study, plain)
+    records, validation, _ = inputs.read_records(study, plain)
     models = [inputs.with_delays_of_records(model, records, study) for model in models]
-    quiet = inputs.read_quiet_records(study, plain, hold=study.hold)
+    quiet = inputs.read_quiet_records(study, plain)
     inputs.check_skip(study, validation)
     inputs.check_prediction_steps(study, records, validation)
     check_sampling_times(records, validation, [q.name for q in plain.outputs])

@@ -48,9 +48,8 @@ def discover(study: Study) -> Answer:
     folder = inputs.result_folder(study, model.name)
     # Asked for before the search: an answer of minutes must not fail at its last file.
     write_model = load_extension(ExtensionKind.EXPORTS, "python").write
-    records, validation = inputs.read_records(study, model)
-    quiet = inputs.read_quiet_records(study, model, hold=study.hold)
-    test = inputs.read_files(study, study.test, model)
+    records, validation, test = inputs.read_records(study, model)
+    quiet = inputs.read_quiet_records(study, model)
     inputs.print_record_notes(records, validation, quiet, test)
     inputs.check_skip(study, [*validation, *test])
     only_laws = study.candidates == (NO_EFFECTS,)

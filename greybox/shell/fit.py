@@ -58,7 +58,7 @@ def fit(study: Study) -> Answer:
     model = inputs.constrain(inputs.build_model(study), study)
     inputs.check_substeps(study, model)
     folder = inputs.result_folder(study, model.name)
-    records, validation = inputs.read_records(study, model)
+    records, validation, _ = inputs.read_records(study, model)
     model = inputs.with_delays_of_records(model, records, study)
     quiet = inputs.read_quiet_records(study, model)
     inputs.check_skip(study, validation)

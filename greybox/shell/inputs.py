@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from greybox.base import DataError, ExitCode, Finding, GreyboxError, ModelError, nearest
 from greybox.shell.plants import find_plant_kind
@@ -110,8 +110,16 @@ def fit_options(study: Study) -> FitOptions:
     return FitOptions(**{f.name: getattr(study, f.name) for f in fields(FitOptions) if f.name in study.table()})
 
 
-def read_records(study: Study, model: Model) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
-    """The estimation and the validation records, each with its conditions, from its file or from the study.
+class Records(NamedTuple):
+    """The records of a study by what they are for."""
+
+    estimation: tuple[Experiment, ...]
+    validation: tuple[Experiment, ...]
+    test: tuple[Experiment, ...]
+
+
+def read_records(study: Study, model: Model) -> Records:
+    """The records, each with its conditions, from its file or from the study.
 
     Records are split where their time starts anew and at its gaps if the study says so; otherwise a long gap in which the
     input is unknown is refused. Raises GreyboxError.
@@ -121,51 +129,34 @@ def read_records(study: Study, model: Model) -> tuple[tuple[Experiment, ...], tu
 
     from_files = {name: None for name, values in study.conditions.items() if values is None}
     given = {name: values for name, values in study.conditions.items() if values is not None}
-    estimation, validation = (
-        read_files(study, files, model, from_files) for files in (study.estimation, study.validation)
-    )
+    files = (study.estimation, study.validation, study.test)
+    estimation, *judges = (read_files(study, each, model, conditions=from_files) for each in files)
     refuse_repeated(estimation)
-    validation = mark_fitted(validation, estimation)
-    estimation, validation = _with_conditions(given, study, estimation, validation)
+    records = _with_conditions(given, study, Records(estimation, *(mark_fitted(each, estimation) for each in judges)))
     if not study.split_holes:
-        refuse_unknown_input([*estimation, *validation])
-        return estimation, validation
-    read = len(estimation) + len(validation)
-    pieces, findings = split_records(
-        (estimation, validation), at_rest=study.at_rest, runs=read - len(study.estimation) - len(study.validation)
-    )
+        refuse_unknown_input(record for group in records for record in group)
+        return records
+    runs = sum(map(len, records)) - sum(map(len, files))
+    pieces, findings = split_records(records, at_rest=study.at_rest, runs=runs)
     print_findings(findings)
-    return pieces[0], pieces[1]
+    return Records(*pieces)
 
 
-def read_files(
-    study: Study, files: Sequence[Path], model: Model, conditions: Mapping[str, None] | None = None
-) -> tuple[Experiment, ...]:
-    """The records in ``files`` as the study says that they are laid out and held. Raises GreyboxError."""
+def read_files(study: Study, files: Sequence[Path], model: Model, **other: Any) -> tuple[Experiment, ...]:
+    """The records in ``files`` as the study says that they are laid out and held, or as ``other`` does. Raises GreyboxError."""
     from greybox.data.read import read_experiments
 
     if not files:
         return ()
-    return read_experiments(
-        files,
-        model,
-        conditions=conditions,
-        split=study.split_holes,
-        hold=study.hold,  # type: ignore[arg-type]
-        allow_constant_input=study.free_decay,
-        **layout_of(study),
-    )
+    told = {"split": study.split_holes, "hold": study.hold, "allow_constant_input": study.free_decay}
+    return read_experiments(files, model, **{**told, **layout_of(study), **other})
 
 
-def read_quiet_records(study: Study, model: Model, hold: str | None = None) -> tuple[Experiment, ...]:
+def read_quiet_records(study: Study, model: Model) -> tuple[Experiment, ...]:
     """The records with the input at rest, from which the noise is estimated. Raises GreyboxError."""
-    from greybox.data.read import WHOLE, read_experiments
+    from greybox.data.read import WHOLE
 
-    if not study.quiet:
-        return ()
-    more: dict[str, Any] = {} if hold is None else {"hold": hold}
-    layout = {**layout_of(study), "window": WHOLE}
-    return read_experiments(study.quiet, model, allow_constant_input=True, **layout, **more)
+    return read_files(study, study.quiet, model, split=False, allow_constant_input=True, window=WHOLE)
 
 
 def layout_of(study: Study) -> dict[str, Any]:
@@ -186,25 +177,25 @@ def layout_of(study: Study) -> dict[str, Any]:
     return layout
 
 
-def _with_conditions(
-    given: Mapping[str, tuple[float, ...]],
-    study: Study,
-    estimation: Sequence[Experiment],
-    validation: Sequence[Experiment],
-) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
+def _with_conditions(given: Mapping[str, tuple[float, ...]], study: Study, records: Records) -> Records:
     """The records, each with its value of the conditions that the study gives."""
-    records = [*estimation, *validation]
+    everything = [record for group in records for record in group]
+    fitted, judged, _ = map(len, records)
     for name, values in given.items():
-        if len(values) not in (len(estimation), len(records)):
+        if len(values) not in (fitted, fitted + judged, len(everything)):
+            others = [
+                f" and {len(group)} for {role}"
+                for role, group in records._asdict().items()
+                if role != "estimation" and group
+            ]
             raise GreyboxError(
-                f"{study.label('conditions')} {name}: {len(values)} values for {len(estimation)}"
-                f" record{'s' * (len(estimation) != 1)}"
-                + (f" and {len(validation)} for validation" if validation else "")
-                + "; give one for each, in their order, separated by commas"
+                f"{study.label('conditions')} {name}: {len(values)} values for {fitted} record{'s' * (fitted != 1)}"
+                f"{''.join(others)}; give one for each, in their order, separated by commas"
             )
         for k, value in enumerate(values):
-            records[k] = replace(records[k], conditions={**records[k].conditions, name: value})
-    return tuple(records[: len(estimation)]), tuple(records[len(estimation) :])
+            everything[k] = replace(everything[k], conditions={**everything[k].conditions, name: value})
+    rest = iter(everything)
+    return Records(*(tuple(next(rest) for _ in group) for group in records))
 
 
 def split_records(

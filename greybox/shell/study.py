@@ -165,7 +165,7 @@ class Study:
         "Let a parameter depend on a condition or an input, such as K2=P_S@8e5; the fitted value is the one at VALUE.",
         completion.constants)
     conditions = Option(kinds.Conditions(), "--condition NAME[=V1,V2,...]", "conditions.",
-        "A parameter with a known value in each record: one value for each record in order (--validate last). NAME alone"
+        "A parameter with a known value in each record: one value for each record in order (--validate, then --test last). NAME alone"
         " reads it from each file: a column of that name, or a comment line such as '# P_S = 801 kPa'. Any other name, such as load=1,6.1,"
         " is what --own parameters, and those that a discovery finds, are held against.")
     process_noise = Option(kinds.Numbers(bare="estimated"), "--process-noise STATE[=VALUE]", "process_noise.",
@@ -554,6 +554,11 @@ READING = (
         Study.split_holes,
         Study.free_decay,
     ),
+)
+# The same where a result or the model says how the inputs move and what stayed the same.
+READING_LIKE = (
+    *(Study.columns, Study.headers, Study.read_limit, Study.first_time, Study.last_time),
+    *(Study.interpolation, Study.before),
 )
 # What every command takes that looks at a model with records.
 ESTIMATING = (

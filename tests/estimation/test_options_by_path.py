@@ -11,6 +11,7 @@ import pytest
 import greybox as gb
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State
 from greybox.base import ModelError
+from greybox.estimation.score import score_fit
 
 TIME = 0.05 * np.arange(120)
 TRUE = {"M": 0.7, "D": 1.5, "K": 30.0, "K3": 40.0}
@@ -106,6 +107,29 @@ def constants(path: str, option: str = "") -> tuple[float | str, ...]:
     # Another transcription ends at the same optimum: there it shows by its name.
     ways = [str(fit.solver.statistics["transcription"])] if option in ("", "transcription") else []
     return (*(fit.parameters[n].value for n in ("D", "K")), *ways)
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_the_rows_of_a_validation_record_and_the_samples_ahead_count_everywhere(path: str) -> None:
+    model, base = PATHS[path]
+    (fitted, judge), options = records("zero"), FitOptions(**base)
+    # The same constants each time: what is left out of a validation record changes nothing else.
+    plain, skipped, begun = (
+        gb.fit(model, fitted, validation=judge, options=options, **left_out)
+        for left_out in ({}, {"skip": 40}, {"beginning": 40})
+    )
+    assert skipped.parameters["K"].value == begun.parameters["K"].value == plain.parameters["K"].value
+    for name, misfit in skipped.validation.misfit.items():
+        assert misfit.samples == plain.validation.misfit[name].samples - 40
+        assert begun.validation.misfit[name].rmse == pytest.approx(misfit.rmse, rel=1e-6)
+        assert plain.validation.misfit[name].rmse != pytest.approx(misfit.rmse, rel=1e-3)
+    _, whole = score_fit(plain, (judge,), steps=[1, 5])
+    _, scores = score_fit(plain, (judge,), steps=[1, 5], skip=40)
+    for name, score in scores.outputs.items():
+        assert score.samples == whole.outputs[name].samples - 40
+        assert set(score.ahead) == {1, 5} and np.isfinite(list(score.ahead.values())).all()
+        # Of free runs whose error is white nothing is corrected; a filter forgets what it was told five samples ago.
+        assert (score.ahead[1] == score.ahead[5]) == (path != "filter")
 
 
 @pytest.mark.parametrize("option", OPTIONS)

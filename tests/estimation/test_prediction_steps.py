@@ -69,8 +69,25 @@ def test_a_prediction_of_a_stiff_model_is_its_free_run(model):
     assert np.allclose(gb.predict(fit, record)["y"], free, rtol=1e-6)
 
 
-def test_a_filter_takes_steps_that_can_be_written_out():
-    exact = solve_held(PAIR)
+@pytest.mark.parametrize(("model", "state"), [(VALVE, "s"), (QUENCH, "y"), (PAIR, "y")])
+def test_a_filter_takes_steps_that_can_be_written_out(model, state):
+    exact = solve_held(model)
     record = gb.Experiment("run", T, {"u": DRIVE}, {"y": exact}, "zero")
-    filtered = gb.predict(PAIR.with_process_noise(y=1e-6), record, options=AT_REST, noise={"y": 0.01})["y"]
+    filtered = gb.predict(model.with_process_noise(**{state: 1e-6}), record, options=AT_REST, noise={"y": 0.01})["y"]
     assert np.abs(filtered - exact).max() < 2e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", [VALVE, QUENCH], ids=lambda m: m.name)
+def test_the_filter_of_a_stiff_cubic_finds_no_noise_where_there_is_none(model):
+    noisy = solve_held(model) + np.random.default_rng(1).normal(0, 0.01, len(T))
+    fit = gb.fit(
+        model.with_process_noise("y"),
+        gb.Experiment("run", T, {"u": DRIVE}, {"y": noisy}),
+        noise={"y": 0.01},
+        options=AT_REST,
+    )
+    found, true = fit.parameters["k"], model.values["k"]
+    assert fit.success and abs(found.value - true) < 3 * found.std
+    assert fit.prediction.one_step["y"].noise_ratio == pytest.approx(1, abs=0.25)
+    assert fit.parameters["noise_y"].value == 0

@@ -63,7 +63,7 @@ def test_values_on_the_command_line_go_to_the_records_in_their_order(folder):
     low, high = folder / "low.csv", folder / "high.csv"
     given = Conditions().from_option("--condition", ["P_S=7e5,8e5,9e5", "M_piston=1.4,1.5"])
     study = Study(conditions=given, estimation=(low, high), validation=(low,))
-    records, judges = read_records(study, pneumatic_cylinder)
+    records, judges, _ = read_records(study, pneumatic_cylinder)
     assert [dict(r.conditions) for r in records] == [{"P_S": 7e5, "M_piston": 1.4}, {"P_S": 8e5, "M_piston": 1.5}]
     assert [dict(r.conditions) for r in judges] == [{"P_S": 9e5}]
     with pytest.raises(GreyboxError, match="--condition P_S: given with values and from the files; keep one"):
@@ -72,7 +72,7 @@ def test_values_on_the_command_line_go_to_the_records_in_their_order(folder):
 
 def test_a_record_that_judges_its_own_fit_is_named(folder):
     low, high = folder / "low.csv", folder / "high.csv"
-    _, (other, same) = read_records(Study(estimation=(low,), validation=(high, low)), pneumatic_cylinder)
+    _, (other, same), _ = read_records(Study(estimation=(low,), validation=(high, low)), pneumatic_cylinder)
     assert RecordCode.ALSO_FITTED not in [finding.code for finding in other.findings]
     assert same.findings[-1].code == RecordCode.ALSO_FITTED and same.findings[-1].values["record"] == "low.csv"
 

@@ -197,7 +197,8 @@ def refine_step(
     if is_too_coarse(error, problem, solution.evaluation):
         if problem.step.implicit and 2 * used > MOST_EQUAL_STEPS and options.method == "automatic":
             lengths = np.unique(np.concatenate([r.lengths for r in problem.records]))
-            if choose_implicit_method(system, lengths, alike=False) == ADAPTIVE != problem.method:
+            chosen = choose_implicit_method(system, lengths, alike=False, written_out=problem.written_out)
+            if chosen == ADAPTIVE != problem.method:
                 return replace(problem, method=ADAPTIVE).with_step(0, p), error
         return halved if needed <= halved.step.substeps else problem.with_substeps(needed), error
     return (problem.with_substeps(needed) if needed > used else None), error

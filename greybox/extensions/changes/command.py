@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from greybox.shell import inputs
 from greybox.shell.progress import show_search_progress
 from greybox.shell.study import (
     LAYOUT,
+    READING_LIKE,
     SHARING,
     SHOWING,
     VALIDATING,
@@ -140,13 +141,10 @@ def _chart(known: Fit, study: ChangeStudy) -> ChangeDetection:
 
 def read_like(known: Fit, files: Sequence[Path], study: Study) -> tuple[Experiment, ...]:
     """Records as those of the fit were read: with their hold, and conditions from each file. Raises GreyboxError."""
-    from greybox.data.read import read_experiments
-
-    first = next(iter(known.traces), None)
-    layout = inputs.layout_of(study)
-    if first is not None:
-        layout |= {"hold": first.hold, "conditions": dict.fromkeys(first.conditions)}
-    return read_experiments(files, known.model, **layout)
+    like: dict[str, Any] = {"hold": "auto"}
+    for trace in known.traces[:1]:
+        like = {"hold": trace.hold, "conditions": dict.fromkeys(trace.conditions)}
+    return inputs.read_files(study, files, known.model, **like)
 
 
 CHANGED = Command(
@@ -164,7 +162,7 @@ CHANGED = Command(
         ),
         *(ChangeStudy.population, ChangeStudy.chart, ChangeStudy.no_effects),
         Study.skip.but(help="Rows at the start of validation records left out."),
-        *(Study.columns, Study.headers),
+        *READING_LIKE,
         Study.sampling_time.but(help="Seconds between rows, for records without a time."),
         Study.model.but(
             usage="--model MODEL",

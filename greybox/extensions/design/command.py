@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from greybox.base import DataError, ExitCode, GreyboxError
 from greybox.base.texts import to_word
 from greybox.shell.inputs import find_model_of, limits_of, load_fit_with_model, result_folder, set_parameters
-from greybox.shell.study import LAYOUT, SHARING, SHOWING, Answer, Command, Idle, Option, Study
+from greybox.shell.study import LAYOUT, READING_LIKE, SHARING, SHOWING, Answer, Command, Idle, Option, Study
 from greybox.shell.study_values import Choice, Count, Names, Numbers, Quantity, Word
 from greybox.shell.terminal import exit_with_error, print_findings, print_note, write_report
 
@@ -133,20 +133,21 @@ def build_plain_model(name: str, study: Study) -> Model:
     return set_parameters(find_model(name), study)
 
 
-def read_data(paths: Sequence[Path], model: Model, study: Study, sampling_time: float = 0.0) -> tuple[Experiment, ...]:
-    """The records; what is to be said of them goes to stderr. Raises GreyboxError."""
+def read_data(
+    paths: Sequence[Path], model: Model, study: Study, sampling_time: float = 0.0, **like: Any
+) -> tuple[Experiment, ...]:
+    """The records, ``like`` those of a result; what is to be said of them goes to stderr. Raises GreyboxError."""
     from greybox.data.identity import refuse_repeated
-    from greybox.data.read import read_experiments
-    from greybox.shell.inputs import layout_of, print_record_notes
+    from greybox.shell.inputs import print_record_notes, read_files
 
-    # The sampling time is one of the record to be designed: it counts for these where they have no time.
-    layout = {**layout_of(study), "sampling_time": sampling_time or None}
+    # --hold is that of the generator, and the sampling time one of the record to be designed: it counts for these where they have no time.
+    like = {"hold": "auto", **like, "sampling_time": sampling_time or None}
     try:
-        records = read_experiments(paths, model, **layout)
+        records = read_files(study, paths, model, **like)
     except DataError:
         if not sampling_time:
             raise
-        records = read_experiments(paths, model, **{**layout, "sampling_time": None})
+        records = read_files(study, paths, model, **{**like, "sampling_time": None})
     refuse_repeated(records)
     print_record_notes(records)
     return records
@@ -207,7 +208,8 @@ def _from_discovery(path: Path, data: Sequence[Path], study: Study) -> tuple[Fit
     plain = plain.free(*(n for n, e in parameters.items() if not e.get("fixed")))
     plain = plain.start(**{n: e["value"] for n, e in parameters.items()})
     plain = plain.fix(*(n for n, e in parameters.items() if e.get("fixed")))
-    records = read_data(data, plain, study)
+    like = {"hold": content.get("hold", "auto"), "conditions": dict.fromkeys(content.get("conditions", ()))}
+    records = read_data(data, plain, study, **like)
     options = FitOptions.from_data(content.get("options", {}))
     base = _fit(plain, records, {n: s for n, s in content["noise"].items() if s}, options)
     best = "+".join(e["name"] for e in content["effects"])
@@ -311,7 +313,7 @@ DESIGN = Command(
         Study.estimation.but(help="Records taken so far: needed with discovery.json, fitted with a model."),
         *(*RIG, MODEL_VALUES, OWN.goal, OWN.criterion, OWN.counted, OWN.rivals, OWN.sensors),
         Study.noise.but(help=f"{SENSOR_NOISE} [default: that of the fit]"),
-        *(Study.columns, Study.headers),
+        *READING_LIKE,
         Study.sampling_time.but(help="Seconds between rows. [default: as measured]"),
         Study.duration.but(help="Duration of the record. [default: as measured]"),
         Study.effects.but(
@@ -358,7 +360,7 @@ CAMPAIGN = Command(
         Study.estimation.but(help="Records that were taken before."),
         *(*RIG, MODEL_VALUES, OWN.rig, OWN.experiments, OWN.width),
         Study.noise.but(help=f"{SENSOR_NOISE} Needed for each sensor that is installed."),
-        *(Study.columns, Study.headers),
+        *READING_LIKE,
         Study.sampling_time.but(help="Seconds between rows."),
         Study.duration.but(help="Duration of each record."),
         Study.effects.but(help="Try only this effect of the catalogue; may be repeated. [default: all]"),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from greybox.base import ExitCode, GreyboxError
 from greybox.shell.inputs import layout_of, result_folder, set_parameters
 from greybox.shell.progress import show_progress
-from greybox.shell.study import LAYOUT, SHARING, SHOWING, Answer, Command, NextCommand, Option, Study
+from greybox.shell.study import LAYOUT, READING_LIKE, SHARING, SHOWING, Answer, Command, NextCommand, Option, Study
 from greybox.shell.study_values import Word
 from greybox.shell.terminal import write_report
 
@@ -107,9 +107,9 @@ FLEET = Command(
             usage="RECORDS", help="Records, folders of records, or Parquet files of many records.", required=True
         ),
         Study.start.but(help="Value of a parameter of MODEL."),
-        *(Study.hold, Study.interpolation, Study.before),
+        Study.hold,
         Study.at_rest.but(help="Every record begins in the state that the model declares."),
-        *(Study.columns, Study.headers),
+        *READING_LIKE,
         Study.sampling_time.but(help="Seconds between rows, for records without a time."),
         Study.output.but(help="Folder for the results. [default: results/MODEL-fleet]"),
     ),

@@ -547,7 +547,7 @@ def write_correction(correction: PredictionCorrection) -> str:
         return "none: the process noise is zero"
     if correction.kind == "autoregression":
         orders = ", ".join(f"{name} AR({c.order})" for name, c in correction.colours.items() if c.order)
-        return f"autoregression of the simulation error ({orders})"
+        return f"autoregression of the simulation error ({orders})" if orders else "none: the simulation error is white"
     estimated = " estimated" if correction.kind == "estimated_kalman_filter" else ""
     return f"Kalman filter, process noise{estimated} on {', '.join(correction.model.noisy_states)}"
 

@@ -1,7 +1,8 @@
 """Implicit steps for stiff models: the midpoint rule and Radau IIA with two stages.
 
-The stage equations are solved by a fixed number of Newton iterations with the Jacobian at the start of the step, written out as
-ordinary instructions, so that both kernels run them and differentiate them exactly.
+The stage equations are solved by a fixed number of Newton iterations, written out as ordinary instructions, so that both kernels run them
+and differentiate them exactly. Each has the Jacobian where it stands: with that of the start a stiff mode whose stiffness grows, as of a
+cubic spring, would leave by more with every iteration, and shorter steps would not bring it back.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ def radau(system: System, substeps: int = 1, past: InputHistory | None = None) -
     return replace(make_step("Radau IIA", _require_few_states(system), radau_step(), substeps, past), implicit=True)
 
 
-# Newton iterations of an implicit step, from the Jacobian at its start. Each gains one order in ``h``, and the methods are of order two
-# and three.
+# Newton iterations of an implicit step. Each gains one order in ``h`` and more, and the methods are of order two and three. What is left of a
+# large jump after them is found by halving the step: the next one goes on from there.
 NEWTON_ITERATIONS = 4
 
 
@@ -46,11 +47,10 @@ def midpoint_step() -> IntegrationMethod:
     def make_advance(rate: RateFunction) -> AdvanceFunction:
         def advance(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
             middle = (ua + ub) / 2
-            # (I - h J / 2) dz = h f(x + z) / 2 - z: simplified Newton, one matrix for all iterations.
-            matrix = ca.SX.eye(x.numel()) - h / 2 * _jacobian(rate, x, middle, p)
             z = ca.SX.zeros(x.numel())  # half the increment
-            solve = _make_solver(matrix)
             for _ in range(NEWTON_ITERATIONS):
+                # (I - h J / 2) dz = h f(x + z) / 2 - z
+                solve = _make_solver(ca.SX.eye(x.numel()) - h / 2 * _jacobian(rate, x + z, middle, p))
                 z = z + solve(h / 2 * rate(x + z, middle, p) - z)
             return x + 2 * z
 
@@ -69,11 +69,12 @@ def radau_step() -> IntegrationMethod:
             # The input at c1 = 1/3; at c2 = 1 it is ``ub``.
             u1 = ua + (ub - ua) / 3
             one = ca.SX.eye(x.numel())
-            j = h * _jacobian(rate, x, ua, p)
-            # (I - A x J) z = r by blocks: they are polynomials of J and commute, so one matrix of the size of the model is left.
-            solve = _make_solver(one - (a11 + a22) * j + (a11 * a22 - a12 * a21) * (j @ j))
             z1 = z2 = ca.SX.zeros(x.numel())
             for _ in range(NEWTON_ITERATIONS):
+                # With the Jacobian at the end of the step for both stages (I - A x J) z = r goes by blocks: they are polynomials of J and
+                # commute, so one matrix of the size of the model is left.
+                j = h * _jacobian(rate, x + z2, ub, p)
+                solve = _make_solver(one - (a11 + a22) * j + (a11 * a22 - a12 * a21) * (j @ j))
                 k1, k2 = h * rate(x + z1, u1, p), h * rate(x + z2, ub, p)
                 r1, r2 = a11 * k1 + a12 * k2 - z1, a21 * k1 + a22 * k2 - z2
                 # Cramer's rule on blocks: the inverse of I - A x J is the adjugate over the determinant polynomial
