@@ -37,7 +37,8 @@ from greybox.extensions.design.problem import (
     GoalName,
 )
 from greybox.extensions.design.rig import find_broken_limits, read_record, run_rig
-from greybox.model import Model
+from greybox.model import Model, equations_text
+from greybox.model.definition import compare_definition, declare
 from greybox.model.effects.catalogue import applicable_effects, effect
 from greybox.simulation.simulate import read_inputs
 
@@ -101,7 +102,8 @@ class CampaignPlan:
         """What may not change while a campaign goes on, as JSON data."""
         return to_json_data(
             {
-                "model": self.model.title,
+                "equations": equations_text(self.model),
+                "declared": declare(self.model),
                 "fixed": {q.name: q.value for q in self.model.all_parameters if q.fixed},
                 "limits": self.limits,
                 "duration": self.duration,
@@ -376,6 +378,12 @@ class _CampaignRun:
             return {}
         data = read_json(path, Campaign)
         before = data.get("question") or {}
+        stated = before.get("equations", ""), before.get("declared", {}), {}
+        if before and (differences := compare_definition(self.plan.model, *stated)):
+            raise DataError(
+                f"{path}: this campaign was begun with another model; repeat its command with the model as it was, or give another"
+                f" folder: {'; '.join(map(str, differences))}"
+            )
         # A folder holds one question; another one would mix its records.
         changed = [name for name, value in self.plan.question.items() if name in before and before[name] != value]
         if changed:

@@ -53,21 +53,28 @@ QUICK = replace(
     crest_iterations=40,
     scenarios=2,
 )
-MASS = gb.Model(
-    "mass",
-    [gb.State("x", "m", role="displacement"), gb.State("v", "m/s", role="velocity")],
-    [gb.Input("F", "N", role="drive")],
-    [gb.Output("x", "m")],
-    [
-        gb.Parameter("m", "kg", 1.0, (0.1, 10.0), role="mass"),
-        gb.Parameter("d", "N*s/m", 0.5, (1e-3, 10.0)),
-        gb.Parameter("k", "N/m", 10.0, (0.1, 100.0), role="stiffness"),
-    ],
-    lambda x, u, p: [
-        gb.Balance("position", "m/s", 1, "x", velocity=x.v),
-        gb.Balance("force", "N", p.m, "v", drive=u.F, damping=-p.d * x.v, spring=-p.k * x.x),
-    ],
-)
+
+
+def make_mass(felt=lambda v: v) -> gb.Model:
+    """A mass on a spring, whose damper feels the velocity as ``felt`` has it."""
+    return gb.Model(
+        "mass",
+        [gb.State("x", "m", role="displacement"), gb.State("v", "m/s", role="velocity")],
+        [gb.Input("F", "N", role="drive")],
+        [gb.Output("x", "m")],
+        [
+            gb.Parameter("m", "kg", 1.0, (0.1, 10.0), role="mass"),
+            gb.Parameter("d", "N*s/m", 0.5, (1e-3, 10.0)),
+            gb.Parameter("k", "N/m", 10.0, (0.1, 100.0), role="stiffness"),
+        ],
+        lambda x, u, p: [
+            gb.Balance("position", "m/s", 1, "x", velocity=x.v),
+            gb.Balance("force", "N", p.m, "v", drive=u.F, damping=-p.d * felt(x.v), spring=-p.k * x.x),
+        ],
+    )
+
+
+MASS = make_mass()
 PLAN = CampaignPlan(
     MASS,
     {"F": SignalLimit(-3, 3), "x": SignalLimit(-0.3, 0.3)},
@@ -137,6 +144,12 @@ def test_it_goes_on_where_it_was_stopped(tmp_path) -> None:
     assert (tmp_path / "01" / "record.csv").read_bytes() == record
     with pytest.raises(DataError, match="begun with another limits"):
         run_campaign(replace(PLAN, limits={"F": SignalLimit(-2, 2)}), tmp_path)
+    # The model of another day, under the same name: its damper doubled, its spring in other units, a wider bound.
+    doubled = make_mass(lambda v: 2 * v)
+    wider = MASS.bound(d=(1e-6, 10.0))
+    for edited in (doubled, wider):
+        with pytest.raises(DataError, match="begun with another model; .* -> "):
+            run_campaign(replace(PLAN, model=edited), tmp_path)
 
 
 def test_the_plain_model_is_left_only_after_a_record_that_looks_for_what_hides(tmp_path) -> None:
