@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
+from html import escape
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,10 @@ class Printable:
         from greybox.show.describe import describe
 
         return describe(self, **options)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the plain text."""
+        return f"<pre>{escape(str(self))}</pre>"
 
 
 class ReadOnly:

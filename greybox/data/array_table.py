@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -9,7 +10,14 @@ from typing import Any
 import numpy as np
 
 from greybox.base import DataError, Finding, shorten
-from greybox.data.columns import check_size, check_width, describe_non_numbers, describe_wrong_count
+from greybox.data.columns import (
+    DECIMAL_COMMA,
+    THOUSANDS,
+    check_size,
+    check_width,
+    describe_non_numbers,
+    describe_wrong_count,
+)
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
 from greybox.data.stamps import StampReader, Stamps, from_datetimes, is_stamp
@@ -184,7 +192,7 @@ def _to_column(
             return reader.finish()
         problems.append(describe_non_numbers(header, bad, [str(array[k])[:200] for k in bad[:5]], labels))
     elif array.dtype.kind in "OUS":
-        values = [_to_number(v) for v in array]
+        values = read_cells(array)
         if None not in values:
             return np.array(values, dtype=np.float64)
         problems.append(describe_cells(header, array, labels))
@@ -193,14 +201,32 @@ def _to_column(
     return np.zeros(0)
 
 
-def describe_cells(header: str, cells: np.ndarray, labels: RowLabels) -> str:
+def describe_cells(header: str, cells: Sequence[Any] | np.ndarray, labels: RowLabels) -> str:
     """Message for ``cells`` (N,) of which some are no number."""
-    bad = [k for k, cell in enumerate(cells) if _to_number(cell) is None]
+    bad = [k for k, value in enumerate(read_cells(cells)) if value is None]
     return describe_non_numbers(header, bad, [str(cells[k])[:200] for k in bad[:5]], labels)
 
 
-def _to_number(value: Any) -> float | None:
-    """A number, NaN for a missing one, None for anything else."""
-    if value is None:
-        return float("nan")
-    return float(value) if isinstance(value, (int, float, np.number)) and not isinstance(value, complex) else None
+# A number as a program writes it into a text.
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
+
+
+def read_cells(cells: Sequence[Any] | np.ndarray) -> list[float | None]:
+    """The numbers of a column, also of those that are kept as text: NaN for an empty cell, None for anything else.
+
+    A comma is a decimal one where no cell has a point, and some cell shows that it does not stand between thousands.
+    """
+    texts = [cell.strip() for cell in cells if isinstance(cell, str)]
+    with_comma = [text for text in texts if "," in text]
+    is_decimal = not all(map(THOUSANDS.fullmatch, with_comma)) and not any("." in text for text in texts)
+
+    def read(cell: Any) -> float | None:
+        if cell is None:
+            return float("nan")
+        if isinstance(cell, str):
+            text = cell.strip()
+            text = text.replace(",", ".") if is_decimal and DECIMAL_COMMA.fullmatch(text) else text
+            return float("nan") if not text else float(text) if _NUMBER.fullmatch(text) else None
+        return float(cell) if isinstance(cell, (int, float, np.number)) and not isinstance(cell, complex) else None
+
+    return [read(cell) for cell in cells]

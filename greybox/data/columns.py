@@ -26,8 +26,8 @@ from greybox.model import Model
 # A file as named columns that are turned into numbers only when asked for.
 
 _DATE = re.compile(r"\d+[-/.]\d+[-/.]\d+|\d+:\d\d")
-_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
-_THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d+)?")
+DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
+THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d+)?")
 
 
 TableColumn = np.ndarray | Stamps
@@ -119,10 +119,10 @@ def _suggest_number_format(texts: Sequence[str], separator: str) -> str:
     first = texts[0].strip() if len(texts) else ""
     if _DATE.search(first):
         return "write every row of a column of dates alike, as in 2024-03-31 13:30:00.25 or 31.03.2024 13:30, or seconds from the start"
-    if _DECIMAL_COMMA.fullmatch(first):
+    if DECIMAL_COMMA.fullmatch(first):
         between = ", or ';' between the columns and no quotation marks" if separator == "," else " in all rows"
         return f"write decimal points{between}"
-    if _THOUSANDS.fullmatch(first):
+    if THOUSANDS.fullmatch(first):
         return "write the number without marks between its thousands"
     return "correct it, or leave the field empty if nothing was measured"
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +27,8 @@ from greybox.data.columns import (
     read_conditions,
     request_conditions,
 )
-from greybox.data.experiment import MAX_DELAY_ROWS, Experiment
+from greybox.data.data_frame import Frame, is_frame, open_frame
+from greybox.data.experiment import MAX_DELAY_ROWS, UNNAMED, Experiment
 from greybox.data.file_kinds import RecordFile, open_record_file
 from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME
@@ -44,7 +45,7 @@ WHOLE: Window = (None, None)
 
 
 def read_csv(
-    path: str | os.PathLike[str] | RecordFile,
+    path: str | os.PathLike[str] | RecordFile | Frame,
     model: Model,
     *,
     columns: ColumnMapping | Sequence[str] | None = None,
@@ -70,7 +71,8 @@ def read_csv(
     Parameters
     ----------
     path
-        The file; or one that is open already, such as a part of a file that holds several records.
+        The file; or one that is open already, such as a part of a file that holds several records; or a data frame of pandas or polars,
+        or a mapping from header to column.
     model
         Its inputs and outputs are looked for, and their units are those of the record.
     columns
@@ -115,10 +117,19 @@ def read_csv(
     >>> record = read_csv("run.csv", micro_actuator, columns={"x": "Laser ch1 [um]"})  # doctest: +SKIP
     """
     source = _RecordSource(columns, sampling_time, interpolation, reading, dict(before or {}))
+    opened: Any = open_frame(path, reading) if is_frame(path) else path
     (experiment,) = _read_runs(
-        [path], [name], model, source, hold, conditions, allow_constant_input, window, split=False
+        [opened], [name], model, source, hold, conditions, allow_constant_input, window, split=False
     )
     return experiment
+
+
+def as_experiments(records: Experiment | Frame | Iterable[Any], model: Model) -> tuple[Experiment, ...]:
+    """One record or several, as a tuple; data frames and arrays by name are read for ``model``. Raises DataError as `read_csv`."""
+    if isinstance(records, Experiment | str | os.PathLike):
+        return (records,)  # type: ignore[return-value]  # whoever gets a path says how it is read
+    group: tuple[Any, ...] = (records,) if is_frame(records) else tuple(records)  # type: ignore[arg-type]
+    return tuple(read_csv(record, model, name=UNNAMED) if is_frame(record) else record for record in group)
 
 
 def read_experiments(

@@ -8,11 +8,22 @@ import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
 
-from greybox.base import DataError, Finding, ModelError, Printable, Severity, StoredResult, format_unit, parse_unit
+from greybox.base import (
+    DataError,
+    Finding,
+    ModelError,
+    Printable,
+    Severity,
+    StoredResult,
+    format_unit,
+    nearest,
+    parse_unit,
+)
 from greybox.data import array_table, channels, file_kinds, policy, sampling, sensor_faults
 from greybox.data.columns import find_dated_time, find_stamp_unit
 from greybox.data.findings import RecordCode
@@ -122,6 +133,7 @@ def survey_file(
     path: str | os.PathLike[str],
     *,
     names: Sequence[str] | None = None,
+    columns: Mapping[str, str | int] = MappingProxyType({}),
     sampling_time: float | None = None,
     reading: policy.ReadingPolicy = policy.READING_POLICY,
 ) -> FileSurvey:
@@ -133,6 +145,8 @@ def survey_file(
         The file.
     names
         Names of its columns in their order, for a file without a header.
+    columns
+        Signal -> header of its column, or its number counted from 1, where its name or unit is another one.
     sampling_time
         Seconds between rows, for a file without a time column.
     reading
@@ -146,19 +160,33 @@ def survey_file(
     Raises
     ------
     DataError
-        For a file that cannot be read.
+        For a file that cannot be read, and a column that it does not have.
     """
     file = file_kinds.open_record_file(path, policy=reading)
     if names is not None:
         file = file.rename(names)
+    headers, told = file.table.headers, dict[str, str]()
+    for name, wanted in columns.items():
+        is_number = str(wanted) not in headers and str(wanted).isdecimal() and 0 < int(wanted) <= len(headers)
+        header = headers[int(wanted) - 1] if is_number else str(wanted)
+        if header not in headers:
+            raise DataError(f"{file.path.name}: no column {header!r} for {name}; {nearest(header, headers)}")
+        told[header] = name
     if isinstance(file.table, channels.ChannelTable):
-        return _survey_channels(file, file.table)
-    return _survey_table(file, sampling_time)
+        return _survey_channels(file, file.table, told)
+    return _survey_table(file, sampling_time, told)
 
 
-def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None) -> FileSurvey:
+def _read_header(header: str, position: int, told: Mapping[str, str]) -> Column:
+    """What a header says, or what was ``told`` of it: header -> name with or without a unit."""
+    stated, own = (replace(parse_header(text, position), header=header) for text in (told.get(header, header), header))
+    known = UnitSource.TOLD if header in told else stated.known
+    return replace(stated, known=known) if stated.unit else replace(stated, unit=own.unit, known=own.known)
+
+
+def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, told: Mapping[str, str]) -> FileSurvey:
     table = file.table
-    columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
+    columns = [_read_header(h, k, told) for k, h in enumerate(table.headers)]
     named = [c for c in columns if c.is_time] or find_dated_time(columns, table)
     clock = next(iter(named), None) or next(filter(None, map(read_time, columns)), None)
     arrays: dict[int, np.ndarray] = {}
@@ -224,7 +252,7 @@ def _is_column(file: file_kinds.RecordFile, position: int) -> bool:
     return not info.holds and math.prod(info.shape) > 1
 
 
-def _survey_channels(file: file_kinds.RecordFile, table: channels.ChannelTable) -> FileSurvey:
+def _survey_channels(file: file_kinds.RecordFile, table: channels.ChannelTable, told: Mapping[str, str]) -> FileSurvey:
     signals: list[SignalSurvey] = []
     findings: list[Finding] = list(table.findings)
     used = {TIME}
@@ -233,7 +261,9 @@ def _survey_channels(file: file_kinds.RecordFile, table: channels.ChannelTable) 
     several = len({c.clock for c in table.channels}) > 1
     for k, channel in enumerate(table.channels):
         header = table.headers[k + 1]
-        column = Column(header, parse_header(header, 0).name, channel.unit, k + 1, UnitSource.STATED)
+        stated = _read_header(header, k + 1, told)
+        is_told = stated.known is UnitSource.TOLD
+        column = stated if is_told else replace(stated, unit=channel.unit, known=UnitSource.STATED)
         clock = channel.clock if several else ""
         if channel.holds:
             signals.append(_survey_signal(column, clock, None, None, used, rows=channel.rows))
@@ -295,7 +325,9 @@ def _survey_signal(
     use = _guess_use(column, values, held)
     name = TIME if is_clock else _make_name(column.name, used)
     model_unit, stated_unit = _write_unit(column)
-    if is_clock:
+    if column.known is UnitSource.TOLD:
+        stated_unit = column.unit
+    elif is_clock:
         stated_unit = read_notation(column.unit, "s") if column.known is UnitSource.ENDING else ""
     return SignalSurvey(
         column.header,

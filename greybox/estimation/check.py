@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from typing import ClassVar, TypedDict
 
 from greybox.base import DataError, FileKind, Finding, ModelError, Printable, StoredResult, nearest
-from greybox.data.experiment import Experiment, as_records
+from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import NoiseModel, NoiseSource
+from greybox.data.read import as_experiments
 from greybox.estimation.findings import find_excluded_outputs
 from greybox.estimation.identifiability.combinations import OpenDirection
 from greybox.estimation.identifiability.practical import (
@@ -257,7 +258,8 @@ def check(
     >>> [str(d) for d in check(micro_actuator).open_directions]  # doctest: +SKIP
     ['M, B, K, Kf scale together']
     """
-    model, options, group = as_model(model), options or FitOptions(), as_records(experiments)
+    model, options = as_model(model), options or FitOptions()
+    group = as_experiments(experiments, model)
     if not (group or model.has_equations):
         raise DataError(
             f"{model.title} is run from outside: what it needs of a record is not known; give one to check it with"

@@ -13,7 +13,6 @@ import numpy as np
 from greybox.base import Finding, FitError, ModelError, Severity, nearest, read_versions
 from greybox.data.experiment import (
     Experiment,
-    as_records,
     collect_record_findings,
     find_usual_interval,
     refuse_long_time_gaps,
@@ -21,6 +20,7 @@ from greybox.data.experiment import (
 from greybox.data.findings import RecordCode
 from greybox.data.identity import mark_fitted, refuse_repeated
 from greybox.data.noise import GrowingNoise, NoiseModel, NoiseSource
+from greybox.data.read import as_experiments
 from greybox.estimation import result_parts
 from greybox.estimation.covariance import (
     check_priors,
@@ -112,7 +112,7 @@ def fit(
         The model; it is not changed. Or a plant without equations, such as an FMU (`greybox.simulation.plant.Plant`): then no more is run
         than is needed, and the result says how much that was (`SolverReport.statistics`).
     experiments
-        Estimation records.
+        Estimation records: experiments, or data frames and mappings from name to column with headers as a file has them.
     noise
         Standard deviation by output in the model's units, a `GrowingNoise` where it grows with the signal (each row is then weighed by the
         noise at the run there), or a `NoiseModel` that is known already. Of outputs left out it is what the
@@ -171,11 +171,12 @@ def fit(
         raise ModelError(f"unknown colour {colour!r}; {nearest(colour, list(map(str, ColourTreatment)))}")
     held = [q.name for q in model.parameters if q.fixed and q.prior is not None]
     model.require_unchanged()
-    refuse_repeated(as_records(experiments))
+    experiments, validation, quiet = (as_experiments(records, model) for records in (experiments, validation, quiet))
+    refuse_repeated(experiments)
     # A delay may be as long as the records show it, where nobody has bounded it.
     model = bound_delays(model, find_usual_interval(to_experiments(experiments)))
     # Refused before the work is done, and not after it.
-    judges = mark_fitted(to_experiments(validation), as_records(experiments)) if validation else ()
+    judges = mark_fitted(to_experiments(validation), experiments) if validation else ()
     optimum: Optimum
     starts: tuple[result_parts.StartResult, ...] = ()
     notices: tuple[Finding, ...] = ()
@@ -237,7 +238,7 @@ def fit(
         issues = (
             *(
                 f
-                for f in collect_record_findings(e for e in judges if e not in as_records(validation))
+                for f in collect_record_findings(e for e in judges if e not in validation)
                 if f.code == RecordCode.ALSO_FITTED
             ),
             *find_validation_issues(result.misfit, judged.misfit),

@@ -17,8 +17,9 @@ from greybox.base import Finding, Printable, Severity, read_versions
 from greybox.base.errors import GreyboxError, ModelError, WorkersLostError
 from greybox.base.files import add_entry, read_journal
 from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
-from greybox.data.experiment import Experiment, as_records
+from greybox.data.experiment import Experiment
 from greybox.data.noise import GrowingNoise, NoiseModel
+from greybox.data.read import as_experiments
 from greybox.estimation.findings import LAST_DIGIT, EstimationCode
 from greybox.estimation.fit import compute_ratio, draw_starts, fit, measure_fresh_effects
 from greybox.estimation.noise_loop import solve
@@ -176,6 +177,7 @@ def multistart(
     validation: Experiment | Sequence[Experiment] = (),
     skip: int = 0,
     beginning: int = 0,
+    per_experiment: str | Sequence[str] = (),
     options: FitOptions | None = None,
     executor: Executor | None = None,
     workers: int = 0,
@@ -200,7 +202,7 @@ def multistart(
         Seed of the draws.
     factor
         Random starts lie between value / factor and value x factor.
-    noise, quiet, colour, validation, skip, beginning, options
+    noise, quiet, colour, validation, skip, beginning, per_experiment, options
         As in `greybox.fit`.
     executor
         Where the starts run; None for processes of this machine.
@@ -238,7 +240,9 @@ def multistart(
             f"{model.title}: several starts compare free runs, which do not determine process noise; fit it from one start, or first"
             " without its process noise"
         )
-    group = as_records(experiments)
+    group, validation, quiet = (as_experiments(records, model) for records in (experiments, validation, quiet))
+    names = (per_experiment,) if isinstance(per_experiment, str) else per_experiment
+    options = replace(options, per_experiment=(*options.per_experiment, *names))
     problem = prepare_problem(model, group, noise, options, quiet=quiet)  # once; refuses here what no start can use
     known_noise = problem.noise
     begins = [

@@ -12,8 +12,9 @@ from scipy.special import ndtri
 
 from greybox.base import DataError, ModelError, Printable, nearest
 from greybox.base.numerics import TINY, UNSEEN_INFORMATION
-from greybox.data.experiment import Experiment, as_records
+from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, fit_autoregression, join_series
+from greybox.data.read import as_experiments
 from greybox.estimation.noise_loop import solve
 from greybox.estimation.objective import PredictionErrorObjective, refine_minimum, search_minimum
 from greybox.estimation.options import FitOptions, resolve_options
@@ -329,7 +330,7 @@ def predictor(
     >>> predictor(fit).predict(other_record, steps=5)["x"]  # doctest: +SKIP
     """
     known = fix_parameters(model, noise, options)
-    group = as_records(experiments)
+    group = as_experiments(experiments, known.model)
     if isinstance(model, Fit):
         if model.model.noisy_states and noise is None and not group:
             frozen = model.model.fix(*model.model.values)
@@ -395,6 +396,7 @@ def predict(
     """
     _check_steps(steps)
     if isinstance(model, Fit | Model):
+        (experiment,) = as_experiments(experiment, model.model if isinstance(model, Fit) else model)
         records = () if isinstance(model, Fit) else experiment
         return predictor(model, records, noise=noise, options=options).predict(experiment, steps)
     if not hasattr(model, "predict"):

@@ -6,12 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from greybox.base import FileKind, Finding, Severity, StoredResult, from_json_data, parse_unit, read_json
 from greybox.base.errors import DataError, GreyboxError, ModelError, shorten
+from greybox.base.parallel.local_pool import pack, unpack
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.noise import BoundDirection
 from greybox.data.problems import RowLabels, find_array_problems
@@ -48,7 +49,7 @@ class Fit(Printable, ReadOnly, StoredResult):
     model
         The model with the fitted values.
     parameters
-        Name -> `Estimate`: value, standard deviation and 95 % interval.
+        Name -> `Estimate`: value, standard deviation and 95 % interval; ``parameters.to_frame()`` is a data frame of them.
     misfit
         Free-run error by output over the estimation records.
     traces
@@ -109,6 +110,14 @@ class Fit(Printable, ReadOnly, StoredResult):
         prediction=prediction.one_step log_likelihood=prediction.log_likelihood
         """
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "parameters", result_parts.Estimates(self.parameters))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Models are made of functions, which are packed as they are for another process.
+        return unpack_fit, (pack(super().__reduce__()),)
+
     @property
     def success(self) -> bool:
         """Whether the search ended at an optimum."""
@@ -133,6 +142,12 @@ class Fit(Printable, ReadOnly, StoredResult):
     def validation_at_least(self) -> dict[str, float]:
         """The same on the validation records."""
         return _least_ratios(self.noise, self.validation.misfit)
+
+
+def unpack_fit(data: bytes) -> Fit:
+    """The fit that was pickled."""
+    rebuild, values = unpack(data)
+    return cast(Fit, rebuild(*values))
 
 
 def _least_ratios(noise: result_parts.FitNoise, misfit: Mapping[str, result_parts.Misfit]) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, ClassVar
@@ -67,6 +67,50 @@ class Estimate:
             return self.fixed
         low, high = self.interval
         return max(high - self.value, self.value - low) <= self.WIDE * abs(self.value)
+
+
+class Estimates(Mapping[str, Estimate]):
+    """Parameters by name, read-only.
+
+    Parameters
+    ----------
+    values
+        Name -> estimate.
+    """
+
+    def __init__(self, values: Mapping[str, Estimate]) -> None:
+        self._values = dict(values)
+
+    def __getitem__(self, name: str) -> Estimate:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __repr__(self) -> str:
+        return repr(self._values)
+
+    def to_frame(self) -> Any:
+        """A pandas data frame with a row for each parameter: value, standard deviation, 95 % interval, unit, and how it is known.
+
+        Raises ModuleNotFoundError without pandas.
+        """
+        import pandas
+
+        rows = [
+            (e.value, e.std, *(e.interval or (None, None)), e.unit, e.fixed, e.at_bound, e.determined)
+            for e in self.values()
+        ]
+        heads = ["value", "std", "low", "high", "unit", "fixed", "at_bound", "determined"]
+        frame = pandas.DataFrame(rows, pandas.Index(list(self), name="parameter"), heads)
+        return frame.astype(dict.fromkeys(heads[:4], float))
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        return str(self.to_frame()._repr_html_())
 
 
 @dataclass(frozen=True)

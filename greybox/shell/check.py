@@ -82,6 +82,7 @@ def look_at_files(study: Study) -> Answer:
         survey_file(
             file,
             names=list(study.headers) or None,
+            columns=study.columns,
             sampling_time=study.sampling_time or None,
             reading=inputs.layout_of(study).get("reading", READING_POLICY),
         )
@@ -106,7 +107,7 @@ def _next(study: Study, survey: FileSurvey) -> NextCommand | str:
 
 
 USED = (*ESTIMATING, *INTEGRATING, Study.outputs)
-LOOKED_AT = (Study.model, Study.estimation, Study.headers, Study.sampling_time, Study.read_limit)
+LOOKED_AT = (Study.model, Study.estimation, Study.columns, Study.headers, Study.sampling_time, Study.read_limit)
 UNUSED = tuple(option for option in USED if option not in LOOKED_AT)
 
 CHECK = Command(

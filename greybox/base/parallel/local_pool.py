@@ -26,6 +26,8 @@ from typing import Any
 
 import cloudpickle
 
+from greybox.base.values import ReadOnly
+
 # Values as bytes for another process of the same version.
 #
 # A model is made of functions, often lambdas, which `pickle` refuses; `cloudpickle` (small, and what Dask itself uses) sends
@@ -81,6 +83,8 @@ class _Pickler(cloudpickle.Pickler):
     def reducer_override(self, obj: Any) -> Any:
         if isinstance(obj, MappingProxyType):
             return MappingProxyType, (dict(obj),)
+        if isinstance(obj, ReadOnly):
+            return ReadOnly.__reduce__(obj)
         return super().reducer_override(obj)
 
 

@@ -274,11 +274,13 @@ def solve_operating_point(
         if all(residual.met for residual in _residuals_of_rows(functions, solution, p, to_meet)):
             rates = functions.rates(solution, p, functions.direction(solution))
             moving = [k for k in rated if k not in to_meet and rates[k]]
-            # A position may move if nothing depends on where it is, or if its speed was asked for: a moment of a motion is meant.
-            if all(
-                _position_is_irrelevant(functions, solution, p, k) or functions.system.rhs[k].name() in given
+            # Positions may move if nothing depends on where they are, or on how far together (two masses on one shaft), or where their
+            # speed was asked for: a moment of a motion is meant.
+            alone = (
+                _motion_is_steady(functions, solution, p, [k]) or functions.system.rhs[k].name() in given
                 for k in moving
-            ):
+            )
+            if all(alone) or _motion_is_steady(functions, solution, p, moving):
                 return _describe_point(functions, solution, p, moving)
     raise ModelError(_no_equilibrium_message(functions, z, p, known, given, rated))
 
@@ -324,10 +326,14 @@ def _find_moving_parameters(functions: ModelFunctions, point: OperatingPoint) ->
     return everything[np.array(depends, bool)]
 
 
-def _position_is_irrelevant(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, k: int) -> bool:
-    """Whether no rate depends on the position ``k`` where it is: then everything else can stay while it moves."""
-    moves = np.abs(functions.slopes(z, p, functions.direction(z)) * functions.sizes(z, p))
-    return bool(np.all(moves[:, k] <= numerics.FREE_POSITION * moves.sum(axis=1)))
+def _motion_is_steady(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, moving: Sequence[int]) -> bool:
+    """Whether no rate changes while the positions ``moving`` go on at their rates: then everything else can stay."""
+    which, direction, sizes = np.array(moving, int), functions.direction(z), functions.sizes(z, p)
+    slopes, rates = functions.slopes(z, p, direction), functions.rates(z, p, direction)[which]
+    # As far as takes one of them by its typical size.
+    reach = rates / np.max(np.abs(rates) / sizes[which], initial=numerics.TINY)
+    change = np.abs(slopes[:, which] @ reach)
+    return bool(np.all(change <= numerics.FREE_POSITION * np.abs(slopes * sizes).sum(axis=1)))
 
 
 def _check_point(functions: ModelFunctions, at: Mapping[str, float]) -> dict[str, float]:
@@ -463,11 +469,12 @@ def _describe_point(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, mov
             "imbalance": [{"balance": r.balance, "value": r.value, "unit": format_unit(r.unit)} for r in unmet],
         }
         findings.append(Finding(ExportFinding.NO_EQUILIBRIUM, Severity.WARNING, values=values))
+    is_steady = _motion_is_steady(functions, z, p, moving)
     for k in moving:
         values = {
             "speed": float(rates[k]),
             "unit": format_unit(f"({functions.units[k]})/s"),
-            "others_rest": _position_is_irrelevant(functions, z, p, k),
+            "others_rest": is_steady,
         }
         findings.append(Finding(ExportFinding.STEADY_MOTION, Severity.WARNING, names[k], values))
     return OperatingPoint(

@@ -15,6 +15,7 @@ from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise import AutoRegression, GrowingNoise, NoiseModel, estimate_noise
 from greybox.data.problems import is_constant
+from greybox.data.read import as_experiments
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, RobustLoss
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
@@ -179,7 +180,7 @@ def prepare_problem(
     Raises DataError or ModelError with what is wrong and what to do.
     """
     policy, written_out = options.policy, written_out or bool(model.noisy_states)
-    group = to_experiments(experiments)
+    group = to_experiments(as_experiments(experiments, model))
     for e in group:
         model.check_measured(f"experiment {e.name!r}", e.outputs)
     arrays = [to_record(model, e) for e in group]  # before the noise: it refuses records that do not go with the model

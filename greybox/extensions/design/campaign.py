@@ -378,8 +378,8 @@ class _CampaignRun:
             return {}
         data = read_json(path, Campaign)
         before = data.get("question") or {}
-        stated = before.get("equations", ""), before.get("declared", {}), {}
-        if before and (differences := compare_definition(self.plan.model, *stated)):
+        text, declared = before.get("equations", ""), before.get("declared", {})
+        if before and (differences := compare_definition(self.plan.model, text, declared, {})):
             raise DataError(
                 f"{path}: this campaign was begun with another model; repeat its command with the model as it was, or give another"
                 f" folder: {'; '.join(map(str, differences))}"

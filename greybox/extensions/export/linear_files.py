@@ -408,7 +408,7 @@ def write_control(
 ) -> Path:
     """Write a Python file that makes the ``control.StateSpace`` called ``plant``, matrices and names in plain sight.
 
-    A ``family`` has no place in it and is left out.
+    Those of a ``family`` are in its list ``family``.
     """
     target = Path(path).with_suffix(".py")
     notes = [f"Note: {finding}" for finding in model.findings]
@@ -435,10 +435,28 @@ def write_control(
         lines += [f"delay = {delays!r}  # s, not in the matrices"]
     names = ", ".join(f"{kind}s=list({kind}_units)" for kind in units)
     lines += [f"plant = control.ss(A, B, C, D, {model.dt!r}, {names})", ""]
+    if family is not None:
+        shapes = [getattr(model, key).shape for key in "ABCD"]
+        rows = [f"    ({', '.join(repr(getattr(m, key).ravel().tolist()) for key in 'ABCD')})," for m in family.members]
+        lines += [
+            f"# {len(rows)} models drawn from the covariance of the parameters with seed {family.seed}: A, B, C and D, row by row.",
+            *("members = [", *rows, "]"),
+            f"shapes = {shapes!r}",
+            "family = [",
+            f"    control.ss(*(np.reshape(m, s) for m, s in zip(member, shapes)), {model.dt!r}, {names})",
+            *("    for member in members", "]", ""),
+        ]
     return write_file(target, "\n".join(lines))
 
 
-CONTROL = ExportTarget("a Python file for python-control", ".py", write_control, linear=True, ending="_ss.py")
+CONTROL = ExportTarget(
+    "a Python file for python-control",
+    ".py",
+    write_control,
+    linear=True,
+    options=frozenset(["samples"]),
+    ending="_ss.py",
+)
 MAT = ExportTarget("a MATLAB file", ".mat", write_mat, linear=True, options=frozenset(["samples"]))
 JSON = ExportTarget("JSON", ".json", write_json, linear=True, options=frozenset(["samples"]))
 NUMPY = ExportTarget("NumPy arrays", ".npz", write_npz, linear=True, options=frozenset(["samples"]))

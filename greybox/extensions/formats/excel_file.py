@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from greybox.base import DataError, Finding, Severity
-from greybox.data.array_table import ArrayInfo, ArrayTable, describe_cells
+from greybox.data.array_table import ArrayInfo, ArrayTable, describe_cells, read_cells
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import check_size, check_width, raise_limit
 from greybox.data.file_kinds import FileFormat
@@ -144,7 +144,9 @@ def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
     head: Sequence[Any] | None = None
     for number, row in enumerate(rows, 1):
         texts = sum(isinstance(cell, str) and bool(cell.strip()) for cell in row)
-        values = sum(_is_value(cell) for cell in row)
+        # A row whose texts are all numbers is one of numbers.
+        kept_as_text = texts and None not in read_cells([cell for cell in row if isinstance(cell, str)])
+        values = sum(_is_value(cell) for cell in row) + (texts if kept_as_text else 0)
         # A row of texts alone is one of headers; the fuller one counts, and a shorter one below it holds units.
         if texts and not values and texts == sum(cell is not None for cell in row):
             if head is None or texts > sum(c is not None for c in head):
@@ -219,6 +221,9 @@ def _to_column(cells: list[Any]) -> np.ndarray | Stamps:
     reader = StampReader()
     if not reader.add(cells):
         return reader.finish()
+    numbers = read_cells(cells)
+    if None not in numbers:
+        return np.array(numbers, dtype=np.float64)
     mixed = np.empty(len(cells), dtype=object)
     mixed[:] = cells
     return mixed

@@ -36,8 +36,8 @@ def radau(system: System, substeps: int = 1, past: InputHistory | None = None) -
     return replace(make_step("Radau IIA", _require_few_states(system), radau_step(), substeps, past), implicit=True)
 
 
-# Newton iterations of an implicit step. Each gains an order in ``h`` at least, and the methods are of order two and three. What a large jump
-# leaves after them is found by halving the step: the next one goes on from there.
+# Newton iterations of an implicit step. Each gains an order in ``h`` at least; the methods are of order two and three. What they leave of a
+# large jump is found by halving the step: the next one goes on from there.
 NEWTON_ITERATIONS = 4
 
 

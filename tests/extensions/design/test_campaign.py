@@ -148,7 +148,7 @@ def test_it_goes_on_where_it_was_stopped(tmp_path) -> None:
     doubled = make_mass(lambda v: 2 * v)
     wider = MASS.bound(d=(1e-6, 10.0))
     for edited in (doubled, wider):
-        with pytest.raises(DataError, match="begun with another model; .* -> "):
+        with pytest.raises(DataError, match=r"begun with another model; .* -> "):
             run_campaign(replace(PLAN, model=edited), tmp_path)
 
 

@@ -9,7 +9,9 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
 import greybox as gb
+from greybox.base.errors import ModelError
 from greybox.estimation.linear.exported_model import ExportFinding as Code
+from greybox.estimation.linear.operating_point import find_operating_point
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance
 from models.pneumatic_cylinder import pneumatic_cylinder
 from models.pneumatic_full import pneumatic_full
@@ -367,3 +369,26 @@ def test_the_sampled_nonlinear_system_runs_as_simulate_does():
     ours = gb.simulate(full, {"time": t, "u": u}, substeps=8)
     np.testing.assert_allclose(run.outputs[0], ours.outputs["x"], rtol=1e-12, atol=1e-17)
     assert "delay" not in system.params and system.params["Fc"] == 0.05
+
+
+def test_two_masses_on_one_shaft_turn_steadily():
+    motor = gb.Model(
+        "motor",
+        [gb.State("phi", "rad", role="displacement"), gb.State("w", "rad/s", role="velocity")],
+        [gb.Input("M", "N*m", role="torque")],
+        [gb.Output("w", "rad/s")],
+        [gb.Parameter("J", "kg*m^2", 1e-3, role="inertia"), gb.Parameter("b", "N*m*s/rad", 2e-3)],
+        lambda x, u, p: [
+            gb.Balance("angle", "rad/s", 1, "phi", w=x.w),
+            gb.Balance("torque", "N*m", p.J, "w", drive=u.M, damping=-p.b * x.w),
+        ],
+    )
+    two = (motor + gb.effect("second_mode")).start(m2=3e-4, k2=2.0, c2=1e-3)
+    point = find_operating_point(two, {"w": 100.0})
+    assert point.inputs["M"] == pytest.approx(2e-3 * 100) and point.states["z2"] == pytest.approx(100)
+    assert set(point.moving) == {"phi", "z1"} and all(f.values["others_rest"] for f in point.findings)
+    # The equations are linear: their matrices are the same everywhere.
+    assert np.allclose(gb.linearise(two, {"w": 100.0}).A, gb.linearise(two).A)
+    # Of a mass on a spring to the ground nothing turns steadily.
+    with pytest.raises(ModelError, match="no equilibrium with z2 = 100"):
+        gb.linearise(micro_actuator + gb.effect("second_mode"), {"z2": 100.0})
