@@ -165,28 +165,30 @@ def survey_file(
     file = file_kinds.open_record_file(path, policy=reading)
     if names is not None:
         file = file.rename(names)
-    headers, told = file.table.headers, dict[str, str]()
+    headers, renamed = file.table.headers, dict[str, str]()
     for name, wanted in columns.items():
         is_number = str(wanted) not in headers and str(wanted).isdecimal() and 0 < int(wanted) <= len(headers)
         header = headers[int(wanted) - 1] if is_number else str(wanted)
         if header not in headers:
             raise DataError(f"{file.path.name}: no column {header!r} for {name}; {nearest(header, headers)}")
-        told[header] = name
+        renamed[header] = name
     if isinstance(file.table, channels.ChannelTable):
-        return _survey_channels(file, file.table, told)
-    return _survey_table(file, sampling_time, told)
+        return _survey_channels(file, file.table, renamed)
+    return _survey_table(file, sampling_time, renamed)
 
 
-def _read_header(header: str, position: int, told: Mapping[str, str]) -> Column:
-    """What a header says, or what was ``told`` of it: header -> name with or without a unit."""
-    stated, own = (replace(parse_header(text, position), header=header) for text in (told.get(header, header), header))
-    known = UnitSource.TOLD if header in told else stated.known
-    return replace(stated, known=known) if stated.unit else replace(stated, unit=own.unit, known=own.known)
+def _read_header(header: str, position: int, renamed: Mapping[str, str]) -> Column:
+    """What a header says, or what was said of it in ``renamed``: header -> name with or without a unit."""
+    stated, plain = (
+        replace(parse_header(text, position), header=header) for text in (renamed.get(header, header), header)
+    )
+    known = UnitSource.TOLD if header in renamed else stated.known
+    return replace(stated, known=known) if stated.unit else replace(stated, unit=plain.unit, known=plain.known)
 
 
-def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, told: Mapping[str, str]) -> FileSurvey:
+def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, renamed: Mapping[str, str]) -> FileSurvey:
     table = file.table
-    columns = [_read_header(h, k, told) for k, h in enumerate(table.headers)]
+    columns = [_read_header(h, k, renamed) for k, h in enumerate(table.headers)]
     named = [c for c in columns if c.is_time] or find_dated_time(columns, table)
     clock = next(iter(named), None) or next(filter(None, map(read_time, columns)), None)
     arrays: dict[int, np.ndarray] = {}
@@ -252,7 +254,9 @@ def _is_column(file: file_kinds.RecordFile, position: int) -> bool:
     return not info.holds and math.prod(info.shape) > 1
 
 
-def _survey_channels(file: file_kinds.RecordFile, table: channels.ChannelTable, told: Mapping[str, str]) -> FileSurvey:
+def _survey_channels(
+    file: file_kinds.RecordFile, table: channels.ChannelTable, renamed: Mapping[str, str]
+) -> FileSurvey:
     signals: list[SignalSurvey] = []
     findings: list[Finding] = list(table.findings)
     used = {TIME}
@@ -261,7 +265,7 @@ def _survey_channels(file: file_kinds.RecordFile, table: channels.ChannelTable, 
     several = len({c.clock for c in table.channels}) > 1
     for k, channel in enumerate(table.channels):
         header = table.headers[k + 1]
-        stated = _read_header(header, k + 1, told)
+        stated = _read_header(header, k + 1, renamed)
         is_told = stated.known is UnitSource.TOLD
         column = stated if is_told else replace(stated, unit=channel.unit, known=UnitSource.STATED)
         clock = channel.clock if several else ""

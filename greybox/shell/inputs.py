@@ -148,8 +148,8 @@ def read_files(study: Study, files: Sequence[Path], model: Model, **other: Any) 
 
     if not files:
         return ()
-    told = {"split": study.split_holes, "hold": study.hold, "allow_constant_input": study.free_decay}
-    return read_experiments(files, model, **{**told, **layout_of(study), **other})
+    layout = {"split": study.split_holes, "hold": study.hold, "allow_constant_input": study.free_decay}
+    return read_experiments(files, model, **{**layout, **layout_of(study), **other})
 
 
 def read_quiet_records(study: Study, model: Model) -> tuple[Experiment, ...]:
