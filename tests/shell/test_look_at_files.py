@@ -66,7 +66,7 @@ def test_columns_are_named_where_a_file_is_looked_at(run, tmp_path) -> None:
     named = run("check", "odd.csv", "--column", "v [percent]=Ventil", "--column", "T [degC]=3")
     assert 'gb.Output("T", "K")' in named.stdout
     assert named.stdout.endswith(
-        "columns for it: --column time=Zeit --column 'v [percent]=Ventil' --column 'T [degC]=Temp'\n"
+        "columns for it: --column time=Zeit --column 'v [percent]'=Ventil --column 'T [degC]'=Temp\n"
     )
     unknown = run("check", "odd.csv", "--column", "x=Tmp")
     assert unknown.exit_code == 2 and "odd.csv: no column 'Tmp' for x; did you mean 'Temp'?" in unknown.stderr
