@@ -96,7 +96,7 @@ class Estimates(Mapping[str, Estimate]):
     def to_frame(self) -> Any:
         """A pandas data frame with a row for each parameter: value, standard deviation, 95 % interval, unit, and how it is known.
 
-        Raises ModuleNotFoundError without pandas.
+        Raises ModuleNotFoundError without pandas (``pip install 'greybox-sysid[frames]'``).
         """
         import pandas
 

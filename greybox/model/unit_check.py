@@ -81,7 +81,7 @@ class _UnitCheck:
         return x, u, apply_ties(self.statement.ties, p)
 
     def declarations(self) -> Iterator[str]:
-        """Units that cannot be read."""
+        """Units that cannot be read, each once with all that have it."""
         groups: dict[str, Sequence[Item | Balance]] = {
             "state": self.system.states,
             "input": self.statement.inputs,
@@ -89,12 +89,15 @@ class _UnitCheck:
             "parameter": self.parameters,
             "balance": self.system.stated_balances,
         }
+        by_reason: dict[str, list[str]] = {}
         for kind, items in groups.items():
             for item in items:
                 try:
                     parse_unit(item.unit)
                 except ModelError as error:
-                    yield f"{kind} {item.name!r}: {error}"
+                    by_reason.setdefault(str(error), []).append(f"{kind} {item.name!r}")
+        for reason, named in by_reason.items():
+            yield f"{', '.join(named)}: {reason}"
 
     def ties(self) -> Iterator[str]:
         """Formulas of tied parameters."""

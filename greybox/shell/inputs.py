@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from greybox.base import DataError, ExitCode, Finding, GreyboxError, ModelError, nearest
+from greybox.base.texts import to_word
 from greybox.shell.plants import find_plant_kind
 from greybox.shell.study import Idle, Study
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note
@@ -301,10 +302,28 @@ def load_fit_with_model(path: Path, model: str = "") -> Fit:
     from greybox.base import read_json
     from greybox.estimation.result import Fit, ResultCode, restore_fit
 
+    if describes_discovery(path):
+        raise DataError(
+            f"{path}: a discovery, which holds no fit; fit the model that it has written beside it, as in"
+            f" greybox fit {to_word(str(path.with_name('model.py')))} train.csv, and give the fit.json of that"
+        )
     data = read_json(path, Fit)
     fit = restore_fit(data, find_model_of(path, data["model"], model, data["effects"]), str(path), insist=bool(model))
     print_findings([f for f in fit.findings if f.code in (ResultCode.OTHER_MODEL, ResultCode.OTHER_CONSTANT)])
     return fit
+
+
+def describes_discovery(path: Path) -> bool:
+    """Whether a file is a discovery, which has a verdict. What else is wrong with it is said by whoever reads it."""
+    from greybox.base.json_file import parse_json
+
+    if not path.is_file():  # a pipe would be waited for
+        return False
+    try:
+        data: Any = parse_json(path.read_bytes())
+    except (OSError, ValueError):
+        return False
+    return isinstance(data, dict) and "verdict" in data and "effects" in data
 
 
 def find_model_of(path: Path, named: str, model: str, effects: Iterable[str] = ()) -> Model:

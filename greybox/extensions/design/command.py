@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base import DataError, ExitCode, GreyboxError
 from greybox.base.texts import to_word
-from greybox.shell.inputs import find_model_of, limits_of, load_fit_with_model, result_folder, set_parameters
+from greybox.shell.inputs import (
+    describes_discovery,
+    find_model_of,
+    limits_of,
+    load_fit_with_model,
+    result_folder,
+    set_parameters,
+)
 from greybox.shell.study import LAYOUT, READING_LIKE, SHARING, SHOWING, Answer, Command, Idle, Option, Study
 from greybox.shell.study_values import Choice, Count, Names, Numbers, Quantity, Word
 from greybox.shell.terminal import exit_with_error, print_findings, print_note, write_report
@@ -110,7 +117,7 @@ def read_source(study: DesignStudy) -> tuple[Model | Fit, Fit | None, list[str]]
     """The best explanation, the fit of the plain model where it is another one, and the rivals by their effects. Raises GreyboxError."""
     source, data = study.source, study.estimation
     if source.endswith(".json"):
-        if _kind_of(Path(source)) == "fit":
+        if not describes_discovery(Path(source)):
             if data or study.fixed or study.start:
                 raise GreyboxError(
                     f"{source}: a fit knows its records and parameters; leave out DATA, --fix and --start"
@@ -166,19 +173,6 @@ def _fit(model: Model, records: Sequence[Experiment], noise: dict[str, float], o
     if not result.success:
         raise GreyboxError(f"{model.title}: the fit to the records did not end at an optimum; try other --start values")
     return result
-
-
-def _kind_of(path: Path) -> str:
-    """``fit`` or ``discovery``: a discovery has a verdict. What else is wrong with the file is said by whoever reads it."""
-    from greybox.base.json_file import parse_json
-
-    if not path.is_file():  # a pipe would be waited for
-        return "fit"
-    try:
-        data: Any = parse_json(path.read_bytes())
-    except (OSError, ValueError):
-        return "fit"
-    return "discovery" if isinstance(data, dict) and "verdict" in data else "fit"
 
 
 def _from_discovery(path: Path, data: Sequence[Path], study: Study) -> tuple[Fit, Fit, list[str]]:
