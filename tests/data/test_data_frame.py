@@ -68,7 +68,7 @@ def test_a_fit_takes_frames_and_says_its_parameters_as_one(frame, tmp_path):
         "s",
     )
     assert np.isnan(table.loc["K", "std"]) and table.loc["K", "fixed"]
-    assert "<table" in fit.parameters._repr_html_() and fit._repr_html_().startswith("<pre>lag: converged")
+    assert "<table" in fit.parameters._repr_html_() and fit._repr_html_().startswith("<pre>lag ")
     with pytest.raises(TypeError):
         fit.parameters["T"] = estimate
 
