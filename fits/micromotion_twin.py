@@ -87,7 +87,9 @@ def record(
     clean = motion(voltage, delay, sampling_time)
     shown = (disturbance or Disturbance()).over(clean, sampling_time, np.random.default_rng(seed))
     time = sampling_time * np.arange(len(voltage))
-    return Experiment.from_arrays(time, {"u": voltage}, {"x": shown}, name=name, source=GENERATED)
+    # From rest: without voltage before the first row, as `motion` has it.
+    before = {"u": 0.0}
+    return Experiment.from_arrays(time, {"u": voltage}, {"x": shown}, name=name, source=GENERATED, before=before)
 
 
 def step_record(seed: int = SEED, *, rows: int = ROWS, delay: float = DELAY) -> Experiment:
