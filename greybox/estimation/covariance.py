@@ -237,8 +237,8 @@ def find_bound_limits(
             continue
         outside, reach = min(best, 0.0), compute_quantile(degrees) * deviation
         # Held at the bound the misfit may be large for that alone: the noise is what is left where the cost is least, less d^2 / (A^-1)_kk.
-        left = min(max(cost - outside**2 / float(newton[place, k]), floor), cost) if np.isfinite(floor) else cost
-        pull = float(np.sqrt(cost / max(left, TINY))) * -outside / deviation
+        left = max(cost - outside**2 / float(newton[place, k]), floor, TINY)
+        pull = -outside / deviation * (np.sqrt(cost / left) if left < cost else 1.0)
         # The rise over the cost at the bound, ((d - best)^2 - best^2) / s^2, comes to the squared 95 % point at this distance.
         distance = best + float(np.sqrt(outside**2 + reach**2))
         value, bounds = float(variables.base[k]), (variables.low[k], variables.high[k])
@@ -247,7 +247,7 @@ def find_bound_limits(
             # d log p = dp / p near a lower bound, where p may grow by decades, and -d(1/p) p near an upper one.
             limit = value * (1 + distance) ** inward
         is_set = bounds[0] < limit < bounds[1] and pull <= compute_quantile(degrees)
-        limits[int(k)] = BoundLimit(limit if is_set else None, pull)
+        limits[int(k)] = BoundLimit(limit if is_set else None, float(pull))
     return limits
 
 

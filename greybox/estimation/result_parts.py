@@ -43,7 +43,9 @@ class Estimate:
     value, unit
         The estimate and its unit.
     std, interval
-        Standard deviation and 95 % interval; None for a fixed constant, and where the data do not determine it.
+        Standard deviation and 95 % interval; None for a fixed constant, and where the data do not determine it. Of a constant at its bound
+        the interval goes from there to the limit that the data set, and there is no deviation. Where the likelihood is no parabola
+        (`greybox.estimation.exchange`) the deviation stands for the interval.
     fixed
         Not fitted.
     at_bound

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from greybox.base import DataError, Finding, ModelError
 from greybox.base.linear_algebra import COLUMN_RANK, ColumnDecomposition, decompose_columns, range_basis
@@ -238,8 +240,8 @@ def highest_ranks(points: Sequence[Sensitivity], outputs: Sequence[str]) -> dict
 
 # Amplitudes of the input, in its unit, one after the other.
 RANDOM_EXPERIMENT_AMPLITUDES: tuple[float, ...] = (1.0, 0.3, 3.0)
-# Further ones for constants that show at none of the first: a dead zone, a saturation.
-LARGE_AMPLITUDES: tuple[float, ...] = (30.0, 1000.0, 100000.0, 10000000.0)
+# Wide points for constants that show at none of the others.
+WIDE_POINTS = 2
 # Other constants that are tried where a run overflows.
 TRIES_PER_POINT = 3
 # Singular values up to this may be integration error.
@@ -259,13 +261,9 @@ def compute_free_run_sensitivities(
     points: list[tuple[Sensitivity, np.ndarray]] = []
     touching: list[tuple[Sensitivity, np.ndarray]] = []
     draws = count * TRIES_PER_POINT
-    plan = [*(RANDOM_EXPERIMENT_AMPLITUDES * draws)[:draws], *LARGE_AMPLITUDES]
-    for k, amplitude in enumerate(plan):
-        enough = len(points) >= count
-        # Further amplitudes are for constants that move no output at any point so far.
-        moved = [s.lengths(list(s.blocks)) > 0 for s, _ in points]
-        if enough and (amplitude not in LARGE_AMPLITUDES or np.any(moved, axis=0).all()):
-            continue
+    for k, amplitude in enumerate((RANDOM_EXPERIMENT_AMPLITUDES * draws)[:draws]):
+        if len(points) >= count:
+            break
         generator = np.random.default_rng((seed, k))
         # Where runs overflow or touch bounds, points nearer to the nominal one are tried.
         p = draw_constants(model, generator, RANDOM_EXPERIMENT_CONSTANT_SPREAD / 4 ** (k // count))
@@ -273,6 +271,13 @@ def compute_free_run_sensitivities(
         if point is not None:
             # Cut off at a bound the slopes are those of other equations.
             (touching if point.doubtful > INTEGRATION_DOUBT else points).append((point, p))
+    moved = [s.lengths(list(s.blocks)) > 0 for s, _ in points]
+    for k in range(0 if moved and np.any(moved, axis=0).all() else WIDE_POINTS):
+        generator = np.random.default_rng((seed, draws + k))
+        p = draw_constants(model, generator, RANDOM_EXPERIMENT_CONSTANT_SPREAD / 4)
+        wide = _compute_wide_point(set_parameters(model, p), at_rest, generator)
+        if wide is not None:
+            points.append((wide, p))
     points = points or touching[:count]
     if not points:
         raise DataError(
@@ -360,6 +365,57 @@ def _compute_point(model: Model, at_rest: bool, amplitude: float, generator: np.
     # factor.
     shrunk = before[small & (fine.decompose(names).values < before / factor)]
     return replace(coarse, doubtful=max(coarse.doubtful, 2 * float(shrunk.max(initial=0.0))))
+
+
+# Amplitudes of the records of a wide point, each with the factor to the next one: from what an open valve sees to a dead zone of any unit.
+WIDE_AMPLITUDES: tuple[float, ...] = tuple(3.0**k for k in range(-2, 16))
+# Share of its range that a state may begin in.
+WIDE_STARTS = 0.9
+# Share of its movement that a state keeps from its bounds: an integration with other steps does not come to them either.
+WIDE_MARGIN = 1e-3
+# A state beyond this is on its way to overflow.
+LARGEST_STATE = 1e12
+# Fewest rows before a record of a wide point comes to a bound.
+WIDE_ROWS = 20
+
+
+def _compute_wide_point(model: Model, at_rest: bool, generator: np.random.Generator) -> Sensitivity | None:
+    """One point whose records go as far as states may: a dead zone, a curve over a state that moves slowly; None where none runs.
+
+    Its records have inputs of any size and, unless ``at_rest``, begin anywhere between the bounds of the states. Each ends before it comes
+    to a bound or overflows.
+    """
+    start = np.asarray(model.system.start_function(np.array(list(model.values.values())))[0]).ravel()
+    bounds = np.array([s.bounds for s in model.all_states]).reshape(-1, 2)
+    ranged = np.isfinite(bounds).all(axis=1) & (not at_rest)
+    parts = []
+    for amplitude, step in itertools.product(WIDE_AMPLITUDES, choose_sampling_times(model)):
+        record, begin = _make_record(model, step, amplitude, generator), start.copy()
+        begin[ranged] = bounds[ranged].mean(axis=1)
+        begin[ranged] += WIDE_STARTS / 2 * np.ptp(bounds[ranged], axis=1) * generator.uniform(-1, 1, int(ranged.sum()))
+        with np.errstate(all="ignore"):  # rows that are not finite are left out
+            run = simulate(model, record, initial=dict(zip(model.system.state_names, begin.tolist(), strict=True)))
+        states = np.column_stack(list(run.states.values()))
+        near = WIDE_MARGIN * np.ptp(np.where(np.abs(states) < LARGEST_STATE, states, 0.0), axis=0)
+        inside = (states > bounds[:, 0] + near) & (states < bounds[:, 1] - near)
+        outside = ~(inside & (np.abs(states) < LARGEST_STATE)).all(axis=1)
+        rows = int(np.argmax(outside)) if outside.any() else len(states)
+        if rows >= WIDE_ROWS:
+            inputs, outputs = ({n: y[:rows] for n, y in group.items()} for group in (record.inputs, record.outputs))
+            record = Experiment(record.name, record.time[:rows], inputs, outputs)
+            parts.append(_compute_sensitivity(model, [record], begin[None], at_rest, 1))
+    whole = [part for part in parts if part is not None and part.doubtful <= INTEGRATION_DOUBT]
+    if not whole:
+        return None
+    # First states of each record have columns of their own: a block diagonal.
+    blocks = {
+        name: (
+            block_diag(*(part.blocks[name][0] for part in whole)),
+            np.vstack([part.blocks[name][1] for part in whole]),
+        )
+        for name in whole[0].blocks
+    }
+    return Sensitivity(blocks, INTEGRATION_DOUBT).compress()
 
 
 def set_parameters(model: Model, p: np.ndarray) -> Model:

@@ -85,7 +85,7 @@ class ExportedModel:
             return parameter.source or "as stated in the model"
         if estimate.fixed:
             return f"known: {parameter.source}" if parameter.source else "known"
-        if estimate.std is None or estimate.interval is None:
+        if estimate.interval is None:
             return "fitted, not determined by the records"
         low, high = estimate.interval
         return f"fitted, 95 % interval [{low:.6g}, {high:.6g}]{', at its bound' if estimate.at_bound else ''}"

@@ -255,8 +255,8 @@ def relative_half_widths(fit: Fit) -> dict[str, float]:
 
 
 def relative_half_width(e: Estimate) -> float | None:
-    """Half the 95 % interval in percent of the value; None where there is no interval."""
-    if e.interval is None or not e.value or not all(map(math.isfinite, e.interval)):
+    """Half the 95 % interval in percent of the value; None where there is no interval, or a limit alone."""
+    if e.std is None or e.interval is None or not e.value or not all(map(math.isfinite, e.interval)):
         return None
     return 100 * (e.interval[1] - e.interval[0]) / 2 / abs(e.value) or None
 

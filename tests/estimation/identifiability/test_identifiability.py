@@ -408,3 +408,28 @@ def actuator_record(rows):
 
 
 ACTUATOR_NOISE = {"x": 2e-7, "i": 5e-3}
+
+
+@pytest.mark.parametrize(("capacity", "at_rest"), [(3600.0, False), (50.0, False), (50.0, True)])
+def test_a_curve_over_a_state_that_moves_slowly_is_seen_where_the_state_goes(capacity, at_rest):
+    """The open-circuit voltage of a cell at six charges: a record that moves the charge by a percent shows two of them."""
+    knots = [f"v{k}" for k in range(6)]
+
+    def voltage(x, u, p):
+        hats = [ca.fmax(0, 1 - ca.fabs(5 * x.charge - k)) for k in range(6)]
+        return sum(getattr(p, name) * hat for name, hat in zip(knots, hats, strict=True)) - p.R * u.i
+
+    cell = Model(
+        "cell",
+        [State("charge", "1", 0.5, bounds=(0.0, 1.0))],
+        [Input("i", "A")],
+        [Output("v", "V", voltage)],
+        [
+            *(positive(name, "V", 3.0 + 0.1 * k + 0.05 * k**2) for k, name in enumerate(knots)),
+            positive("R", "ohm", 0.05),
+            Parameter("Q", "A*s", capacity, fixed=True),
+        ],
+        lambda x, u, p: [Balance("charge", "A", p.Q, "charge", drawn=-u.i)],
+    )
+    found = analyse_structural_identifiability(cell, at_rest=at_rest)
+    assert (found.rank, found.count) == (7, 7)
