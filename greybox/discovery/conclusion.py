@@ -273,11 +273,11 @@ def _put_usual_first(answer: SearchAnswer, candidates: Sequence[Effect]) -> Sear
     judged, chosen, table = answer.judged, answer.final.candidate, answer.judged.table
     usual = refit_usual(_make_rivals(answer, candidates), table, read_parts(judged.plain))
     draws = table.draw(table.leading((judged.baseline, chosen, *usual)))
-    established = {c.name for c in answer.claims if c.name and c.is_established}
+    grades = {c.name: c.grade for c in answer.claims if c.name}
     # A set with memory follows whatever is left: where nobody told the noise, no record says that only noise is.
     left = max((c.left for c in answer.weighed), default=1.0)
     is_open = left >= SOME_LEFT or not is_level_known(answer.problem.noise_model)
-    preference = prefer_usual(draws, chosen, judged.plain, established, is_open)
+    preference = prefer_usual(draws, chosen, judged.plain, grades, is_open)
     if preference is None:
         return answer
     preferred = answer

@@ -8,7 +8,7 @@ names and never lifts a grade. What nobody has said of the rig, and would turn t
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -17,6 +17,7 @@ import numpy as np
 from greybox.base.findings import Finding
 from greybox.discovery.candidates import family_of
 from greybox.discovery.claims import LEAST_SHARE, Weights
+from greybox.discovery.decision import Grade
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.problem import FittedCandidate
@@ -130,7 +131,7 @@ MOST_ODDS = 100.0
 
 
 def prefer_usual(
-    draws: Draws, answer: FittedCandidate, plain: Model, established: Collection[str], is_open: bool
+    draws: Draws, answer: FittedCandidate, plain: Model, grades: Mapping[str, Grade], is_open: bool
 ) -> Preference | None:
     """Among the sets that do equally well the usual one, and the question that would turn that; None where nothing is to be chosen.
 
@@ -142,12 +143,12 @@ def prefer_usual(
         The set that won by the records alone.
     plain
         The plain model: it says what the rig has.
-    established
-        Names that the records have established: they stay.
+    grades
+        Name -> its grade by the records. What is established stays, and what is probable is not left out of the answer for taking little.
     is_open
         Whether more than noise may be left whatever is tried: the level of the noise is not known, or the set that won leaves more.
     """
-    order = _Order(draws, answer, plain, set(established), is_open)
+    order = _Order(draws, answer, plain, grades, is_open)
     equal = order.equal
     if not equal:
         return None
@@ -169,7 +170,7 @@ class _Order:
     draws: Draws
     answer: FittedCandidate
     plain: Model
-    established: set[str]
+    grades: Mapping[str, Grade]
     is_open: bool
 
     @property
@@ -187,8 +188,13 @@ class _Order:
         named = [
             k for k, c in enumerate(sets) if c.effects and not c.laws and not any(map(is_shape_correction, c.effects))
         ]
+        established, probable = (
+            {n for n, g in self.grades.items() if g is grade} for grade in (Grade.ESTABLISHED, Grade.PROBABLE)
+        )
         # What takes hardly anything is no answer to what is missing.
-        named = [k for k in named if self.established <= set(sets[k].names) and shares[k] >= LEAST_SHARE]
+        named = [k for k in named if established <= set(sets[k].names) and shares[k] >= LEAST_SHARE]
+        whole = set(self.answer.names)
+        named = [k for k in named if not (set(sets[k].names) < whole and probable & (whole - set(sets[k].names)))]
         good, best = self.draws.good.mean(axis=0), max((shares[k] for k in named), default=0.0)
         return [k for k in named if good[k] >= EQUAL_SHARE or (self.is_open and shares[k] >= ENOUGH * best)]
 
@@ -228,11 +234,12 @@ class _Order:
 
     def ask(self, equal: Sequence[int], parts: RigParts) -> Finding | None:
         """The question whose two answers lead to the likeliest two names."""
+        # Of parts without which a set is impossible; what only makes one likelier is not worth a person's time.
         spoken_of = {
             name
             for k in equal
             for bound in self.draws.sets[k].candidate.model.bound_effects
-            for name in (*bound.effect.needs, *bound.effect.occurs_with)
+            for name in bound.effect.needs
         }
         asked: list[tuple[float, str, int, int]] = []
         for part in (p.name for p in PARTS if p.name in spoken_of and parts.is_open(p.name)):

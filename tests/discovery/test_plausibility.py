@@ -9,6 +9,7 @@ import pytest
 import greybox as gb
 from fits.measured_rigs import falling_ball, rotor
 from greybox.discovery import plausibility
+from greybox.discovery.decision import Grade
 from greybox.discovery.findings import DiscoveryCode as Code
 from greybox.discovery.plausibility import ENOUGH, prefer_usual, weigh_set
 from greybox.discovery.table import Draws
@@ -72,9 +73,9 @@ def least_error_wins(monkeypatch):
     monkeypatch.setattr(plausibility, "draw_sets", draw)
 
 
-def prefer(plain, draws, answer, established=(), is_open=True):
+def prefer(plain, draws, answer, is_open=True, **grades):
     chosen = next(s.candidate for s in draws.sets if s.candidate.effects == tuple(answer.split("__")))
-    return prefer_usual(draws, chosen, plain, established, is_open)
+    return prefer_usual(draws, chosen, plain, {name: Grade(grade) for name, grade in grades.items()}, is_open)
 
 
 def test_an_effect_that_rigs_have_costs_nothing_and_an_exotic_one_five_nats():
@@ -143,8 +144,18 @@ def test_where_only_noise_is_left_two_standard_errors_decide():
 def test_what_the_records_have_established_stays():
     plain = rotor().with_parts(has=["contact"])
     draws = table(plain, reading_curve=0.90, coulomb_friction=0.88, reading_curve__coulomb_friction=0.91)
-    found = prefer(plain, draws, "reading_curve__coulomb_friction", established=["reading_curve"])
+    found = prefer(plain, draws, "reading_curve__coulomb_friction", reading_curve="established")
     assert "reading_curve" in found.candidate.effects
+
+
+def test_what_is_probable_is_not_left_out_for_taking_little():
+    plain = rotor().with_parts(has=["contact"])
+    draws = table(plain, coulomb_friction__reading_curve=0.91, coulomb_friction=0.88)
+    whole, alone = ("coulomb_friction", "reading_curve"), ("coulomb_friction",)
+    for grade, expected in (("probable", whole), ("stand_in", alone)):
+        assert (
+            prefer(plain, draws, "coulomb_friction__reading_curve", reading_curve=grade).candidate.effects == expected
+        )
 
 
 def test_the_part_on_which_the_name_hangs_is_asked():
