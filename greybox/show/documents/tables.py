@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -124,9 +125,77 @@ def typeset_equations(model: Model) -> doc.EquationList:
     )
 
 
+# Letters of an equation on one line of a page, and of a part of it that gets a name of its own where it stands there several times.
+EQUATION_LETTERS, NAMED_LETTERS = 90, 12
+# Where a part of an equation in LaTeX begins that may get a name: a function of something in brackets, or a fraction.
+PART = re.compile(r"\\(?:min|max|sqrt|frac|operatorname\{\w+\})(?=\\left|\{)")
+
+
 def _balances(model: Model) -> Iterator[doc.Equation]:
+    named = 0
     for balance in model.system.stated_balances:
-        yield doc.Equation(balance.name, format_unit(balance.unit), f"{_storage(balance)} = {_terms(balance)}")
+        parts, terms = name_parts(_terms(balance), named)
+        named += len(parts)
+        for symbol, part in reversed(parts.items()):
+            yield doc.Equation(f"{balance.name}, with", "", f"{symbol} = {part}")
+        left, unit = f"{_storage(balance)} = ", format_unit(balance.unit)
+        if count_letters(left + "".join(terms)) <= EQUATION_LETTERS:
+            yield doc.Equation(balance.name, unit, left + " ".join(terms))
+        else:
+            rows = r" \\ \quad ".join([left + terms[0], *terms[1:]])
+            yield doc.Equation(balance.name, unit, rf"\begin{{array}}{{l}} {rows} \end{{array}}")
+
+
+def count_letters(latex: str) -> int:
+    """About how many letters wide an equation is."""
+    return len(
+        re.sub(r"\\underset\{[^{}]*\{[^{}]*\}\}|\\(?:left|right|mathrm|frac|text)\b|\\[a-z]+|[{}_^\s,]", "", latex)
+    )
+
+
+def name_parts(terms: Sequence[str], named: int = 0) -> tuple[dict[str, str], list[str]]:
+    """Terms in LaTeX in which parts that stand there several times have names: what each name is, and the terms.
+
+    The part that saves most comes first; ``named`` so many names are taken already. An equation that fits on a line stays as it is.
+    """
+    parts: dict[str, str] = {}
+    texts = list(terms)
+    while count_letters("".join(texts)) > EQUATION_LETTERS:
+        spans = Counter(span for text in (*texts, *parts.values()) for span in _list_parts(text))
+        gains = {span: (n - 1) * count_letters(span) for span, n in spans.items() if n > 1}
+        gains = {span: gain for span, gain in gains.items() if count_letters(span) >= NAMED_LETTERS}
+        if not gains:
+            break
+        largest = max(gains, key=lambda span: (gains[span], len(span)))
+        symbol = rf"\zeta_{{{named + len(parts) + 1}}}"
+        texts = [text.replace(largest, symbol) for text in texts]
+        parts = {symbol: largest, **{name: part.replace(largest, symbol) for name, part in parts.items()}}
+    return parts, texts
+
+
+def _list_parts(latex: str) -> Iterator[str]:
+    """The parts of an equation that may get a name, each as a balanced text."""
+    for match in PART.finditer(latex):
+        end = match.end()
+        for _ in range(2 if match[0].endswith("frac") else 1):
+            end = _end_of_group(latex, end)
+        yield latex[match.start() : end]
+
+
+def _end_of_group(latex: str, start: int) -> int:
+    """Where the group in braces, or between ``\\left`` and ``\\right``, ends that begins at ``start``."""
+    opening, closing = (r"\left", r"\right") if latex.startswith(r"\left", start) else ("{", "}")
+    depth, at = 0, start
+    while at < len(latex):
+        if latex.startswith(opening, at):
+            depth, at = depth + 1, at + len(opening)
+        elif latex.startswith(closing, at):
+            depth, at = depth - 1, at + len(closing)
+            if not depth:
+                return at + (closing != "}")  # the bracket itself
+        else:
+            at += 1
+    return at
 
 
 def _storage(balance: Balance) -> str:
@@ -137,14 +206,14 @@ def _storage(balance: Balance) -> str:
     return rate if factor.text == "1" else rf"{factor.within(Binding.NEGATION, LATEX.brackets)}\,{rate}"
 
 
-def _terms(balance: Balance) -> str:
-    """The terms with their names below."""
-    text = ""
+def _terms(balance: Balance) -> list[str]:
+    """The terms with their signs, and their names below."""
+    texts: list[str] = []
     for name, value in balance.terms.items():
         term = LATEX.write(value)
-        sign = "-" if term.opposite else ("+" if text else "")
-        text += rf" {sign} \underset{{\text{{{_words(name)}}}}}{{{term.opposite or term.text}}}"
-    return text.strip()
+        sign = "- " if term.opposite else ("+ " if texts else "")
+        texts.append(rf"{sign}\underset{{\text{{{_words(name)}}}}}{{{term.opposite or term.text}}}")
+    return texts
 
 
 def _standstill(model: Model) -> Iterator[doc.Equation]:

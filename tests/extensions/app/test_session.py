@@ -26,6 +26,7 @@ from greybox.shell.inputs import build_model, constrain, fit_options
 from greybox.shell.project import find_model
 from greybox.shell.study import Study
 from greybox.shell.study_file import read_study
+from greybox.show.sentences.wording import ratio_text
 
 NOISE = {"v": 2e-3}
 
@@ -84,7 +85,7 @@ def test_a_look_at_other_values_is_the_library_s_own_run_and_changes_nothing(ben
     view = bench.show_run(0, {"B": 1.5})
     direct = gb.validate(before.model.start(B=1.5), before.estimation, noise=NOISE, options=before.options)
     assert view["misfit"]["rows"][0][0] == "v"
-    assert view["misfit"]["rows"][0][3] == f"{direct.misfit['v'].noise_ratio:.4g} x noise"
+    assert view["misfit"]["rows"][0][-1] == f"{ratio_text(direct.misfit['v'])} x noise"
     assert bench.session is before and bench.show()["undo"] == 2
     assert json.dumps(view, allow_nan=False)
 
