@@ -125,7 +125,9 @@ def _compute_misfit(
         # Outliers are those of the bulk of this residual: a model that is wrong has few.
         spread = max(estimate_spread(np.concatenate(scaled), robust=True), TINY)
         bulk = replace(loss, scale=np.array([spread]))
-        scaled = [np.where(bulk.outliers(each[:, None])[:, 0], np.nan, each) for each in scaled]
+        wild = [bulk.outliers(each[:, None])[:, 0] for each in scaled]
+        scaled = [np.where(out, np.nan, each) for out, each in zip(wild, scaled, strict=True)]
+        loss = bulk if any(out.any() for out in wild) else None
     ratio = measure_errors((np.where(np.isfinite(each), 0.0, np.nan), each) for each in scaled).rmse
     ratio /= loss.bulk_size() if loss is not None else 1.0
     noise = (rmse / ratio if ratio > 0 else level) if by_row else level

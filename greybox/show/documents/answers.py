@@ -20,7 +20,7 @@ def describe_fit_answer(answer: FitAnswer) -> Document:
     fit = answer.fit.describe()
     remedies = [f"remedy: {text}" for text in answer.remedies]
     notes = [*([answer.refusal] if answer.refusal else []), *remedies[:1], *fit.notes, *remedies[1:]]
-    table = [*fit.table, *(block for _, block in further_intervals(answer))]
+    table = [*fit.table, *(Details(title, [block]) for title, block in further_intervals(answer))]
     return replace(fit, table=table, notes=notes, details=Later(_fit_details, answer, fit.details))
 
 

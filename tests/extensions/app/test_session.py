@@ -275,7 +275,7 @@ def test_a_run_that_overflows_is_shown_as_such(bench: Workbench) -> None:
     bench.session = dataclasses.replace(bench.session, model=bench.session.model + law)
     assert not bench.show_run(0, {"k": -0.1})["overflows"]
     view = bench.show_run(0, {"k": 1e4})
-    assert view["overflows"] and view["misfit"]["rows"] == [["v", "", "", ""]]
+    assert view["overflows"] and view["misfit"]["rows"] == [["v", "", "", "", ""]]
     bench.set_values({"k": 1e4})
     assert json.dumps([view, bench.show_location(0), bench.show()], allow_nan=False)
     bench.add_effect("coulomb_friction")

@@ -95,9 +95,11 @@ def test_a_fit_prints_its_answer_then_what_was_asked_for_then_notes_and_on_reque
     )
     asked = [
         "rig explains its records.",
-        "K: 5 N/m",
-        "noise_v: zero; its limit is listed with the parameters",
-        "K: standard deviation 0.123, 95 % [4.75, 5.25]",
+        "profile likelihood",
+        "  K: 5 N/m",
+        "  noise_v: zero; its limit is listed with the parameters",
+        "block bootstrap, 200 replicates in blocks of 12 rows",
+        "  K: standard deviation 0.123, 95 % [4.75, 5.25]",
         "note: no intervals",
         "remedy: measure i",
         "note: a note",
