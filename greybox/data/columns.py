@@ -629,6 +629,14 @@ def read_conditions(
     return values, findings
 
 
+def read_before(model: Model, comments: Sequence[str], problems: list[str]) -> tuple[dict[str, float], list[Finding]]:
+    """What a file says that its inputs were before its first row, ``# before u = 1.5 V``, and a finding for each."""
+    named = {parse_header(line["header"], 0).name for line in map(_COMMENT.match, comments) if line}
+    wanted = [RequestedSignal(SignalKind.CONDITION, f"before {i.name}", i.unit) for i in model.inputs]
+    values, findings = read_conditions([s for s in wanted if s.name in named], {}, comments, problems)
+    return {name.removeprefix("before "): value for name, value in values.items()}, findings
+
+
 # Largest standard deviation of a column over its mean for its mean to be a condition of the whole record.
 CONDITION_SPREAD = 0.05
 

@@ -24,6 +24,7 @@ from greybox.data.columns import (
     SignalKind,
     find_stamp_unit,
     match_columns,
+    read_before,
     read_conditions,
     request_conditions,
 )
@@ -327,6 +328,10 @@ def read_arrays(
     groups: dict[SignalKind, Arrays] = {kind: {} for kind in SignalKind}
     rows = 0
     problems = [*problems, *match.unit_problems]
+    stated, said_before = read_before(model, file.table.comments, problems)
+    # What is told goes before what the file says.
+    findings = (*findings, *(f for f in said_before if f.subject.removeprefix("before ") not in before))
+    before = {**stated, **before}
     match = match.with_stamps(raw, problems)
     for signal, column in match.columns.items():
         # Each column is let go of as it is converted: a long record is in memory once.

@@ -333,7 +333,7 @@ def write_csv(experiment: Experiment, model: Model, path: str | os.PathLike[str]
     Parameters
     ----------
     experiment
-        The record; gaps become empty fields.
+        The record; gaps become empty fields. What a delayed input was before its first row stands in a comment above the headers.
     model
         Its units go into the headers, ``name [unit]``; signals that it does not have are left out.
     path
@@ -348,9 +348,17 @@ def write_csv(experiment: Experiment, model: Model, path: str | os.PathLike[str]
     outputs = [(s.name, s.unit, experiment.outputs[s.name]) for s in model.outputs if s.name in experiment.outputs]
     signals = [("time", "s", experiment.time), *inputs, *outputs]
     heads = [f"{name} [{unit}]" if unit else name for name, unit, _ in signals]
+    past = [
+        f"# before {s.name} = {float(experiment.before[s.name][0])!r} {s.unit}\n"
+        for s in model.inputs
+        # Without a word it is what the input is in the first row.
+        if model.system.delays and s.name in experiment.before and len(experiment.before_ages) == 1
+        if experiment.before[s.name][0] != experiment.inputs[s.name][0]
+    ]
 
     def write_rows(file: BinaryIO) -> None:
         text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        text.writelines(past)
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(heads)
         # `repr` has every digit that a double needs to be read back the same.
