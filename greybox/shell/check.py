@@ -29,10 +29,9 @@ if TYPE_CHECKING:
 def check(study: Study) -> Answer:
     """Check MODEL before a fit: equations, units, integration, and which parameters can be determined.
 
-    Prints first which combinations of parameters any record of the measured outputs can determine, which it cannot, and which
-    sensor or known parameter would determine them. Then, for the records in DATA, near the start values and if the model is
-    right: the expected standard deviation of each parameter, and the excitation of each input. Without DATA, the check
-    simulates a record with a random input. Writes DIR/check.json and DIR/report.html.
+    Prints how many parameters the records in DATA determine and how well, near the start values and if the model is right, and which
+    sensor or known parameter would determine the others; --details adds equations, integration, excitation and effects.
+    Without DATA, the check simulates a record with a random input. Writes DIR/check.json and DIR/report.html.
 
     A file in the place of MODEL is looked at without a model: signals, units, rates, holes, doubtful sensors, and the columns to
     name. Nothing is written.

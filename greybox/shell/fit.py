@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 def fit(study: Study) -> Answer:
     """Fit the parameters of MODEL to records, and validate the fit.
 
-    Prints the equations, the parameters with 95 % intervals, the misfit on the estimation and the validation records, and
-    notes on their validity. Writes DIR/fit.json and DIR/report.html, a report for the browser that draws its own
-    figures.
+    Prints whether the model explains its records, the parameters with 95 % intervals, notes on their validity, and the next
+    command; --details adds equations, misfits, predictions and residual tests. Writes DIR/fit.json and DIR/report.html, a
+    report for the browser that draws its own figures.
 
     MODEL may be an FMU of FMI 2 or 3, plant.fmu: its parameters are fitted by runs of it.
 

@@ -147,7 +147,10 @@ def test_every_number_that_is_told_stands_in_the_json(
 ) -> None:
     monkeypatch.chdir(records)
     words, file = COMMANDS[command]
-    done = CliRunner().invoke(app, [command.split()[0], *words.split(), "--output", str(tmp_path)], prog_name="greybox")
+    # A number stands on one line with its unit.
+    monkeypatch.setattr("greybox.shell.command_line.terminal_width", lambda: 2000)
+    typed = [command.split()[0], *words.split(), "--details", "--output", str(tmp_path)]
+    done = CliRunner().invoke(app, typed, prog_name="greybox")
     assert done.exit_code == 0, done.stderr
     stored = np.abs(np.unique(list(stored_numbers(json.loads((tmp_path / file).read_text(encoding="utf-8"))))))
     page = "".join(PageText((tmp_path / "report.html").read_text(encoding="utf-8")).parts)
