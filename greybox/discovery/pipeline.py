@@ -30,6 +30,8 @@ from greybox.discovery.holdout import (
     HoldoutScores,
     ValidationSet,
     compare_holdout_errors,
+    drop_on_validation,
+    reject_on_validation,
     validate_candidate,
 )
 from greybox.discovery.judged_selection import JudgedSelection
@@ -37,6 +39,7 @@ from greybox.discovery.localisation import localise_residual
 from greybox.discovery.plant_search import search_plant
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem, FitSettings, FittedCandidate, clean_cost_limit
+from greybox.discovery.refinement import VALIDATION_SHARE
 from greybox.discovery.result import Discovery
 from greybox.discovery.selection import MessageCallback, StepKind, StepwiseSelection, checks_of
 from greybox.discovery.table import FitTable
@@ -307,7 +310,13 @@ def _select_and_judge(
         selected = selection.select()
     else:
         selection, selected = _select_with_unknown_noise(selection)
-    checks, table = tuple(checks_of(selection.steps)), FitTable(HoldoutScores(selection.problem, validation))
+    checks, scores = list(checks_of(selection.steps)), HoldoutScores(selection.problem, validation)
+    if selected.effects:
+        fits = list(selection.fits.values())
+        selected, of_holdout = reject_on_validation(scores, selection.baseline, selected, fits, policy.selection)
+        checks += of_holdout
+        selected, of_holdout = drop_on_validation(scores, selected, fits, VALIDATION_SHARE)
+        checks += of_holdout
     rivals = selection.find_rivals(selected) if selected.effects else []
     base = validate_candidate(selection.problem, selection.baseline, validation)
     final = selection.shape_corrections.get(frozenset(selected.effects), selected)
@@ -317,7 +326,9 @@ def _select_and_judge(
     if best is None:  # it fails on other records than those that it was fitted to
         selected, rivals, best = selection.baseline, [], base
     holdout = compare_holdout_errors(base, best)
-    return JudgedSelection(selection, selected, rivals, base, best, holdout, table, problem.model, checks)
+    return JudgedSelection(
+        selection, selected, rivals, base, best, holdout, FitTable(scores), problem.model, tuple(checks)
+    )
 
 
 # Times that the noise is read off the residual and the selection repeated.

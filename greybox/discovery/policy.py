@@ -28,6 +28,8 @@ class SearchBudget:
     """First effects beside which a second one is tried: two effects may explain together what neither explains alone."""
     most_effects: int = 3
     """Effects in a model at most."""
+    holdout_candidates: int = 8
+    """Other sets of effects that are scored on the validation records where the chosen one fails there."""
 
 
 @dataclass(frozen=True)
