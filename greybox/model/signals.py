@@ -17,6 +17,21 @@ from greybox.base import MissingNameError, ModelError, nearest
 Expression = Any  # a CasADi SX expression, or a plain number
 
 
+def _refuse_wrong_order(signal: State | Input | Output | Parameter, usage: str, **numbers: object) -> None:
+    """Refuse numbers where texts belong, and texts where ``numbers`` do: they tell arguments in another order. All in one message."""
+    texts = {"name": signal.name, "unit": signal.unit}
+    wrong = [
+        f"its {what} is {value!r}, which is no text" for what, value in texts.items() if not isinstance(value, str)
+    ]
+    wrong += [
+        f"its {what} is {value!r}, which is no number"
+        for what, value in numbers.items()
+        if isinstance(value, str) or not hasattr(value, "__float__")
+    ]
+    if wrong:
+        raise ModelError(f"{type(signal).__name__.lower()} {signal.name!r}: {'; '.join(wrong)}: write {usage}")
+
+
 @dataclass(frozen=True)
 class State:
     """A state variable.
@@ -62,6 +77,9 @@ class State:
     noise: float | str | Callable[[NamedValues], Expression] = 0.0
     free_start: bool = False
 
+    def __post_init__(self) -> None:
+        _refuse_wrong_order(self, 'State("x", "m", 0.0) with name, unit and start value')
+
 
 @dataclass(frozen=True)
 class Input:
@@ -86,6 +104,9 @@ class Input:
     unit: str
     role: str = ""
     description: str = ""
+
+    def __post_init__(self) -> None:
+        _refuse_wrong_order(self, 'Input("u", "V") with name and unit')
 
 
 @dataclass(frozen=True)
@@ -119,6 +140,7 @@ class Output:
     wraps: float = 0.0
 
     def __post_init__(self) -> None:
+        _refuse_wrong_order(self, 'Output("x", "m") with name and unit')
         if not (math.isfinite(self.wraps) and self.wraps >= 0):
             raise ModelError(
                 f"output {self.name!r}: wraps = {self.wraps:g}: give a period above 0 in {self.unit}, or 0 for none"
@@ -152,7 +174,7 @@ class Parameter:
     Raises
     ------
     ModelError
-        For empty bounds, a value that is not finite or lies outside them, and a prior that is none.
+        For arguments in another order, empty bounds, a value that is not finite or lies outside them, and a prior that is none.
 
     Examples
     --------
@@ -171,7 +193,10 @@ class Parameter:
     prior: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        low, high = self.bounds
+        usage = 'Parameter("k", "1/s", 2.0, (low, high)) with name, unit, value and bounds'
+        bounds: Any = self.bounds
+        low, high = (*bounds,) if hasattr(bounds, "__len__") and len(bounds) == 2 else (None, bounds)
+        _refuse_wrong_order(self, usage, value=self.value, **{"lower bound": low, "upper bound": high})
         if not low < high:
             raise ModelError(
                 f"parameter {self.name!r}: bounds [{low:g}, {high:g}] {self.unit} are empty; give (low, high) with low < high"

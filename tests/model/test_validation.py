@@ -167,3 +167,24 @@ def test_a_table_of_casadi_is_refused_with_what_to_write_instead():
             parameters=[Parameter("J", "kg*m^2", 1.0)],
             balances=lambda x, u, p: [Balance("torque", "N*m", p.J, "w", motor=u.T, fan=-table(x.w))],
         )
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (
+            lambda: Parameter("k", 2.0, "1/s"),
+            "parameter 'k': its unit is 2.0, which is no text; its value is '1/s', which is no number: write"
+            ' Parameter("k", "1/s", 2.0, (low, high)) with name, unit, value and bounds',
+        ),
+        (lambda: Parameter("k", "1/s", None), "parameter 'k': its value is None, which is no number"),
+        (lambda: Parameter("k", "1/s", 2.0, ("0", 1.0)), "its lower bound is '0', which is no number"),
+        (lambda: Parameter("k", "1/s", 2.0, 5.0), "its lower bound is None, which is no number"),
+        (lambda: State("x", 0.0), "state 'x': its unit is 0.0, which is no text"),
+        (lambda: Input(1, "V"), "input 1: its name is 1, which is no text"),
+        (lambda: Output("x", lambda x, u, p: x.x), "which is no text: write Output"),
+    ],
+)
+def test_arguments_in_another_order_are_named(make, said):
+    with pytest.raises(ModelError, match=re.escape(said)):
+        make()
