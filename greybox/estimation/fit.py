@@ -11,6 +11,7 @@ from functools import reduce
 import numpy as np
 
 from greybox.base import Finding, FitError, ModelError, Severity, nearest, read_versions
+from greybox.base.interrupts import HeldInterrupt, hold_interrupts
 from greybox.data.experiment import (
     Experiment,
     collect_record_findings,
@@ -205,16 +206,19 @@ def fit(
         problem = prepare_problem(model, experiments, noise, options, quiet=quiet, initial=initial)
         if not problem.step.per_interval:
             refuse_long_time_gaps(judges)
-        with_effects = None if initial else _begin_with_effects(problem, experiments, options, colour, report)
-        begun = with_effects or SimulationOptimum(model, estimate_by_simulation_error(problem, options, colour, report))
-        optimum = begun
-        # One that goes on from where another ended is not to end elsewhere.
-        if model.free_parameters and begun.status is not TerminationStatus.INTERRUPTED and not initial:
-            trouble = find_trouble(begun, problem, with_effects is None and options.other_starts > 0)
-            if trouble is not None:
-                optimum, starts, notices = _try_other_starts(
-                    begun, trouble, problem, experiments, options, colour, report
-                )
+        with hold_interrupts() as interrupt:
+            with_effects = None if initial else _begin_with_effects(problem, experiments, options, colour, report)
+            begun = with_effects or SimulationOptimum(
+                model, estimate_by_simulation_error(problem, options, colour, report)
+            )
+            optimum = begun
+            # One that goes on from where another ended is not to end elsewhere.
+            if model.free_parameters and begun.status is not TerminationStatus.INTERRUPTED and not initial:
+                trouble = find_trouble(begun, problem, with_effects is None and options.other_starts > 0)
+                if trouble is not None:
+                    optimum, starts, notices = _try_other_starts(
+                        begun, trouble, problem, experiments, options, colour, report, interrupt
+                    )
     model.require_unchanged()
     exchange = None
     if isinstance(optimum, SimulationOptimum) and options.other_starts > 0:
@@ -451,8 +455,11 @@ def _try_other_starts(
     options: FitOptions,
     colour: ColourTreatment | str,
     report: FitProgressCallback | None,
+    held: HeldInterrupt,
 ) -> tuple[SimulationOptimum, tuple[result_parts.StartResult, ...], tuple[Finding, ...]]:
     """The best end of ``first`` and of other starts, where each ended, best first, and what is to be said of it.
+
+    After Ctrl-C, which ``held`` notes, that of those that are done.
 
     Of many starts, drawn far about the model's own, those are searched whose first run fits best: one run tells most of what a search
     from there is worth, and a search takes dozens. Where the best end explains nothing yet, as many follow about the scales that the
@@ -461,13 +468,15 @@ def _try_other_starts(
     model = first.model
 
     def compute_cost(begin: Mapping[str, float]) -> float:
+        if held.requested:  # by Ctrl-C: no search follows, and what was found so far is kept
+            return np.inf
         variables = problem.variables.with_values(begin)
         return float(problem.shooting(variables).evaluate(variables.here).cost)
 
     begins, ends = [{q.name: q.value for q in model.free_parameters}], [first]
     ratios = [compute_ratio(first.evaluation.cost, first.misfit, problem.noise)]
     best, drawn = first, 0
-    for seed in range(2 if options.other_starts else 0):
+    for seed in range(2 if options.other_starts and not held.requested else 0):
         about = model.start(**find_scales(model, compute_cost)) if seed else model
         # Ten draws for each search, and as many with other signs: a draw takes one run, and a search dozens.
         open_signs = any(q.bounds[0] < 0 < q.bounds[1] for q in model.free_parameters)

@@ -12,19 +12,21 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.base import ModelError
-from greybox.data.noise.noise_model import NoiseSource
+from greybox.data.noise.noise_model import AutoRegression, NoiseSource
 from greybox.data.noise.spectrum import estimate_spread
 from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Termination, TerminationPolicy
+from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Termination, TerminationPolicy, TerminationStatus
 from greybox.estimation.options import ColourTreatment, FitOptions, LossKind, Transcription
 from greybox.estimation.result_parts import RobustReport
 from greybox.estimation.sandwich import LEAST_LEVEL_READINGS, estimate_residual_colour
 from greybox.estimation.transcription.collocation import solve_collocation
+from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.multiple_shooting import solve_multiple_shooting
 from greybox.estimation.transcription.plant_search import solve_plant
 from greybox.estimation.transcription.problem import Completion, EstimationProblem, FitProgressCallback, Runs, Solution
-from greybox.estimation.transcription.select import select_transcription
+from greybox.estimation.transcription.select import select_transcription, try_free_run
+from greybox.estimation.transcription.shooting_cost import PlantShooting
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
 from greybox.simulation.plant import PlantModel
 
@@ -32,19 +34,66 @@ from greybox.simulation.plant import PlantModel
 def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None = None) -> Solution:
     """Minimise the noise-weighted simulation error of ``problem``; `Solution.strategy` says how, and why so.
 
-    Raises ModelError for a transcription that the model does not allow.
+    The end is never worse than the present point of ``problem``, see `keep_best`. Raises ModelError for a transcription that the model
+    does not allow.
     """
     if isinstance(problem.model, PlantModel):
-        return solve_plant(problem, options, report)
-    choice = select_transcription(problem, options)
-    if choice.transcription is Transcription.SINGLE:
-        solution = solve_single_shooting(choice.problem, options, report)
-        return replace(solution, strategy=choice.to_strategy(**solution.strategy.values))
-    if choice.transcription is Transcription.ARCS:
-        return solve_multiple_shooting(choice, options, report)
-    is_multiple = choice.transcription is Transcription.MULTIPLE
-    solution = (solve_multiple_shooting if is_multiple else solve_collocation)(choice, options, report)
-    return finish_by_simulation_error(solution, options, report)
+        solution = solve_plant(problem, options, report)
+    else:
+        choice = try_free_run(select_transcription(problem, options), options)
+        if choice.transcription is Transcription.SINGLE:
+            solution = solve_single_shooting(choice.problem, options, report)
+            solution = replace(solution, strategy=choice.to_strategy(**solution.strategy.values))
+        elif choice.transcription is Transcription.ARCS:
+            return solve_multiple_shooting(choice, options, report)
+        else:
+            is_multiple = choice.transcription is Transcription.MULTIPLE
+            solution = (solve_multiple_shooting if is_multiple else solve_collocation)(choice, options, report)
+            solution = finish_by_simulation_error(solution, options, report)
+    # A search of whole records at one step has kept its start itself.
+    if solution.is_single and not options.progressive and solution.problem.step is problem.step:
+        return solution
+    return keep_best(solution, problem.variables, options, report)
+
+
+def keep_best(
+    solution: Solution, start: DecisionVector, options: FitOptions, report: FitProgressCallback | None = None
+) -> Solution:
+    """``solution``, unless the free run from ``start`` is better, or segments and collocation points led to no optimum.
+
+    Then the search goes on by single shooting from the better of the two, with the steps and under the noise of the solution, by which all
+    are compared; the best of them is handed out.
+    """
+    problem, status = solution.problem, solution.status
+    is_failed = not (status.success or solution.is_single or status is TerminationStatus.INTERRUPTED)
+    ended = solution.evaluation.cost if solution.is_run else np.inf
+    runs = [(compute_cost(problem, start), start)]
+    if runs[0][0] >= ended and not is_failed:
+        return solution
+    if is_failed:
+        runs.append((compute_cost(problem, solution.variables), solution.variables))
+    best, variables = min(runs, key=lambda run: run[0])
+    if not np.isfinite(best):
+        return solution
+    if status is TerminationStatus.INTERRUPTED:  # the better point is all that is asked for
+        evaluation = problem.shooting(variables).evaluate(variables.here)
+        return replace(solution, variables=variables, evaluation=evaluation, transcription="single", joined=None)
+    search = solve_plant if isinstance(problem.model, PlantModel) else solve_single_shooting
+    if problem.step.implicit and options.method == "automatic" and not options.substeps:
+        problem = problem.with_stable_steps()
+    problem = replace(problem, variables=variables)
+    again = search(problem, replace(options, progressive=False), report).with_work_of(solution)
+    if not np.isfinite(again.evaluation.cost) or again.evaluation.cost > ended:
+        return solution
+    return replace(again, strategy=solution.strategy).with_strategy(completion=str(Completion.WENT_ON))
+
+
+def compute_cost(problem: EstimationProblem, variables: DecisionVector) -> float:
+    """The cost of one free run of ``problem`` over each record at the present point of ``variables``."""
+    shooting = problem.shooting(variables)
+    if isinstance(shooting, PlantShooting):
+        return shooting.cost(variables.here)
+    return shooting.evaluate(variables.here).cost
 
 
 # A free run follows the joined one if its cost is at most so many times as large ...
@@ -90,12 +139,19 @@ def estimate_by_simulation_error(
     """
     if colour == ColourTreatment.WHITE:
         problem = problem.with_white_noise()
-    solution = solve(problem, options, report)
+    solution, noise = solve(problem, options, report), problem.noise
     for _ in range(options.policy.noise_rounds):
         wanted = update_noise(solution, options, colour) if solution.status.success else None
-        if wanted is None:
+        if wanted is not None:
+            solution = solve(wanted, replace(options, progressive=False), report).with_work_of(solution)
+            continue
+        # Under the noise as it is known now the start may be better than where a search under another one led.
+        if solution.problem.noise is noise or solution.transcription == Transcription.ARCS:
             break
-        solution = solve(wanted, replace(options, progressive=False), report).with_work_of(solution)
+        noise, ended = solution.problem.noise, solution
+        solution = keep_best(ended, problem.variables, options, report)
+        if solution is ended:
+            break
     return polish_by_gauss_newton(solution, options)
 
 
@@ -104,15 +160,43 @@ def update_noise(
 ) -> EstimationProblem | None:
     """The problem with what its residual says of the noise, begun at ``solution``; None where that stands still.
 
-    One thing at a time: the levels, how they grow with the signal, then the scale of a robust loss, then the colour.
+    One thing at a time: a level that it refutes, the other levels, how they grow with the signal, then the scale of a robust loss, then
+    the colour.
     """
     problem = (
-        _update_level(solution, options)
+        _drop_refuted_level(solution)
+        or _update_level(solution, options)
         or _update_growth(solution)
         or _update_loss(solution, options)
         or (_update_colour(solution, options) if colour == ColourTreatment.RESIDUAL else None)
     )
     return None if problem is None else replace(problem, variables=solution.variables)
+
+
+# Noise that was estimated from repetition is none where the rms residual is below this share of it: a residual holds all the noise there
+# is, and what repeats differ by holds as well how each began.
+REFUTED_SHARE = 0.5
+
+
+def _drop_refuted_level(solution: Solution) -> EstimationProblem | None:
+    """The residual's own size, white, as the noise of outputs whose repetition in the records showed the plant, and not its noise."""
+    problem, evaluation = solution.problem, solution.evaluation
+    repeated = (NoiseSource.REPEATED_PERIODS, NoiseSource.REPEATED_EXPERIMENTS)
+    outputs = [j for j, name in enumerate(problem.noise.outputs) if problem.noise.sources.get(name) in repeated]
+    if not outputs or problem.loss is not None:
+        return None
+    noise, pairs = problem.noise, list(zip(problem.records, solution.simulate(), strict=True))
+    std, colour, sources, bounds = noise.std.copy(), list(noise.colour), dict(noise.sources), dict(noise.bounds)
+    inflation = evaluation.count / max(evaluation.count - solution.unknowns, 1)
+    for j in outputs:
+        errors = np.concatenate([record.samples(record.y - y)[:, j] for record, (y, _) in pairs])
+        size = float(np.sqrt(np.nanmean(errors**2) * inflation))
+        if np.isfinite(errors).sum() >= LEAST_LEVEL_READINGS and 0 < size < REFUTED_SHARE * std[j]:
+            std[j], colour[j], sources[noise.outputs[j]] = size, AutoRegression(), NoiseSource.RESIDUAL
+            bounds.pop(noise.outputs[j], None)
+    if sources == dict(noise.sources):
+        return None
+    return replace(problem, noise=replace(noise, std=std, colour=tuple(colour), sources=sources, bounds=bounds))
 
 
 def _update_level(solution: Solution, options: FitOptions) -> EstimationProblem | None:

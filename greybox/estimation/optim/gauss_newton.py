@@ -117,6 +117,8 @@ def run_gradient_sampling(
             before = search.best_cost
             value = search.best_value
             assert value is not None  # a search keeps its start
+            if not value.is_finite:
+                return TerminationStatus.STUCK  # sensitivities overflow: there are no axes to sample along
             directions, curvature = value.principal_axes()
             # d'Hd / 2 = radius cost along each axis: one step in each row, in the units of the unknowns.
             axes = (directions / np.sqrt(0.5 * curvature)).T / value.scale * np.sqrt(radius * value.cost)
@@ -157,8 +159,10 @@ def _find_descent_direction(
     gradients = [axes @ search.best_value.gradient]  # type: ignore[union-attr]
     for step in (*axes, *-axes):
         value = _evaluate(search, centre + step, low, high)
-        if np.isfinite(value.cost):
-            gradients.append(axes @ value.gradient)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a run about to overflow
+            slope = axes @ value.gradient
+        if np.isfinite(value.cost) and np.isfinite(slope).all():
+            gradients.append(slope)
     sampled = np.array(gradients).T / max(np.abs(gradients).max(), TINY)
     sum_to_one = np.full(sampled.shape[1], SUM_TO_ONE_WEIGHT)
     # min |G w| with w >= 0, sum w = 1: the sum as one heavily weighted row of the least squares.

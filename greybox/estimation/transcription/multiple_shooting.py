@@ -96,6 +96,11 @@ class MultipleShootingResult(Solution):
     rows: Runs = ()
     gap: float = np.inf
 
+    @property
+    def is_run(self) -> bool:
+        """Whether the segments meet."""
+        return self.gap <= MULTIPLE_SHOOTING_CONTINUITY
+
     @classmethod
     def of(
         cls,

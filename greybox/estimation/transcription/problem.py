@@ -21,7 +21,7 @@ from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOpti
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.estimation.transcription.shooting_cost import Evaluation, PlantShooting, SingleShooting, WhitenedShooting
 from greybox.model import Model
-from greybox.simulation.integrators.discretisation import discretise
+from greybox.simulation.integrators.discretisation import ADAPTIVE, choose_implicit_method, discretise
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.make_kernel import make_kernel
@@ -154,6 +154,14 @@ class EstimationProblem:
             return self.with_step(substeps, self.variables.fixed)
         step = replace(self.step, substeps=substeps)
         return replace(self, step=step, kernel=self.kernel.with_substeps(substeps))
+
+    def with_stable_steps(self) -> EstimationProblem:
+        """The same with steps that follow the error in place of implicit ones of one length, where the model is smooth."""
+        lengths = np.unique(np.concatenate([r.lengths for r in self.records]))
+        method = choose_implicit_method(self.model.system, lengths, alike=False, written_out=self.written_out)
+        if method != ADAPTIVE or self.step.adaptive:
+            return self
+        return replace(self, method=method).with_step(0, self.start_parameters)
 
     def halve_step(self) -> EstimationProblem:
         """The same with half the step."""
@@ -481,6 +489,9 @@ class TranscriptionReason(StrEnum):
     STIFF_IMPLICIT = "transcription_stiff_implicit"
     """A fast mode, which implicit steps follow. Values: ``fastest`` (s), ``substeps`` (explicit ones in a sample)."""
 
+    FREE_RUN_FOLLOWS = "transcription_free_run_follows"
+    """A fast mode, and errors that grow; yet a free run gains what its slopes promise. Values: those of both."""
+
     STIFF_NOT_SMOOTH = "transcription_stiff_not_smooth"
     """A fast mode, too many states for implicit steps, and equations that collocation cannot take. Values as before."""
 
@@ -509,7 +520,7 @@ Runs = Sequence[tuple[np.ndarray, np.ndarray]]
 
 
 class Completion(StrEnum):
-    """How a fit by segments or collocation points was completed where the cost is more than plain squares."""
+    """How a fit went on where its way of solving led to no optimum, or minimises less than was asked for."""
 
     NONE = ""
     FREE_RUN = "free_run"
@@ -517,6 +528,9 @@ class Completion(StrEnum):
 
     WHITE_NOISE = "white_noise"
     """With the noise taken as white, as a free run does not follow this plant."""
+
+    WENT_ON = "went_on"
+    """By single shooting from the best point: the search failed, or its start was better than its end."""
 
 
 def make_strategy(transcription: str, **values: object) -> Finding:
@@ -578,6 +592,16 @@ class Solution:
     def unknowns(self) -> int:
         """How many numbers were estimated."""
         return self.joined.unknowns if self.joined else self.variables.size
+
+    @property
+    def is_single(self) -> bool:
+        """Whether each record was run freely from its initial state."""
+        return self.transcription == "single"
+
+    @property
+    def is_run(self) -> bool:
+        """Whether the cost is that of a run: of segments that end where the next one begins, if it is more than one."""
+        return True
 
     def with_work_of(self, earlier: Solution) -> Solution:
         """The same with the work of the search that it began from."""

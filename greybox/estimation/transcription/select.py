@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import LinAlgWarning, expm
 
 from greybox.base import Finding, Severity
+from greybox.estimation.optim.gauss_newton import run_gauss_newton
+from greybox.estimation.optim.minimisation import Minimisation
 from greybox.estimation.options import DEFAULT_POLICY, FitOptions, Transcription, TranscriptionPolicy
 from greybox.estimation.transcription.problem import EstimationProblem, TranscriptionReason, make_strategy
+from greybox.estimation.transcription.single_shooting import CHECKED_ROWS, compute_change_over_noise
 from greybox.model import System
 from greybox.simulation.integrators.discretisation import choose_implicit_method
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate
@@ -54,11 +58,59 @@ def select_transcription(problem: EstimationProblem, options: FitOptions) -> Tra
     )
     if proposal.implicit and options.method == "automatic" and not options.substeps:
         problem = replace(problem, method=proposal.implicit).with_step(0, p)
+        if is_led_astray(problem):
+            problem = problem.with_stable_steps()
     if options.arc_length:
         return TranscriptionChoice(Transcription.ARCS, None, problem)
     if options.transcription != Transcription.AUTOMATIC:
         return TranscriptionChoice(Transcription(options.transcription), None, problem)
     return TranscriptionChoice(proposal.transcription, proposal.reason, problem)
+
+
+# Share of the misfit that half the step may change: more, and the search would follow the integrator.
+LEADING_SHARE = 0.1
+
+
+def is_led_astray(problem: EstimationProblem) -> bool:
+    """Whether half the step changes what a free run from the present point shows of the misfit."""
+    if problem.step.adaptive:
+        return False
+    parts = replace(problem, records=tuple(r.first(max(CHECKED_ROWS, len(r.u) // 4)) for r in problem.records))
+    coarse, fine = (each.shooting().simulate(each.variables.here) for each in (parts, parts.halve_step()))
+    with np.errstate(over="ignore", invalid="ignore"):  # of runs that go astray
+        pairs = zip(parts.records, fine, strict=True)
+        errors = np.concatenate([record.samples(record.y - y) for record, (y, _) in pairs]) / problem.noise.std
+        measured = np.isfinite(np.concatenate([record.samples(record.y) for record in parts.records]))
+        misfit = np.sqrt(np.sum(np.where(measured, errors, 0.0) ** 2, axis=0) / np.maximum(measured.sum(axis=0), 1))
+        change = compute_change_over_noise(problem, coarse, fine)
+        return bool(np.any(~(change <= LEADING_SHARE * misfit) & measured.any(axis=0)))
+
+
+# Damped steps of a free run by which it is tried: enough to leave a start, and few beside those of a search.
+TRIAL_STEPS = 4
+
+
+def try_free_run(choice: TranscriptionChoice, options: FitOptions) -> TranscriptionChoice:
+    """``choice``, or single shooting where segments were chosen for a stiff model whose free run gains what its slopes promise.
+
+    Rates far apart, and amounts that grow, look like instability in each point. Whether errors run away from the data, as in chaos, is
+    seen from a few steps: there no step gains what it should.
+    """
+    problem, reason = choice.problem, choice.reason
+    if reason is None or reason.code != TranscriptionReason.UNSTABLE or not problem.step.implicit:
+        return choice
+    shooting, (low, high) = problem.shooting(), problem.variables.bounds()
+    policy = options.policy.minimisation
+    search = Minimisation(shooting.evaluate, 1.0, None, None, policy)
+    if not np.isfinite(search(problem.variables.here).cost) or not run_gauss_newton(
+        search, low, high, policy.damped, steps=TRIAL_STEPS, while_predicted=True
+    ):
+        return choice
+    return replace(
+        choice,
+        transcription=Transcription.SINGLE,
+        reason=replace(reason, code=TranscriptionReason.FREE_RUN_FOLLOWS),
+    )
 
 
 class TranscriptionProposal(NamedTuple):
@@ -176,7 +228,13 @@ def _compute_lyapunov_exponent(jacobians: np.ndarray, duration: float) -> float:
     gains a factor of two or four in the second half, which is not instability.
     """
     errors, logarithm = np.eye(jacobians.shape[1]), 0.0
-    for k, transition in enumerate(expm(jacobians * (duration / len(jacobians)))):
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LinAlgWarning)
+            transitions = expm(jacobians * (duration / len(jacobians)))
+    except np.linalg.LinAlgError:  # Pade's quotient has no value, of a candidate that has gone astray
+        return math.inf
+    for k, transition in enumerate(transitions):
         # e(t + h) = exp(J h) e(t), scaled back before it overflows; its logarithm is added up.
         errors = transition @ errors
         size = float(np.linalg.norm(errors))

@@ -21,12 +21,7 @@ from greybox.estimation.transcription.problem import (
     make_strategy,
 )
 from greybox.estimation.transcription.shooting_cost import Evaluation
-from greybox.simulation.integrators.discretisation import (
-    ADAPTIVE,
-    choose_implicit_method,
-    choose_substeps,
-    follow_step,
-)
+from greybox.simulation.integrators.discretisation import choose_substeps, follow_step
 from greybox.simulation.integrators.runge_kutta import find_fast_relaxing_states
 
 # How much of a record to fit at first, and how much more next.
@@ -196,10 +191,9 @@ def refine_step(
     needed = min(needed, policy.max_substeps)
     if is_too_coarse(error, problem, solution.evaluation):
         if problem.step.implicit and 2 * used > MOST_EQUAL_STEPS and options.method == "automatic":
-            lengths = np.unique(np.concatenate([r.lengths for r in problem.records]))
-            chosen = choose_implicit_method(system, lengths, alike=False, written_out=problem.written_out)
-            if chosen == ADAPTIVE != problem.method:
-                return replace(problem, method=ADAPTIVE).with_step(0, p), error
+            stable = problem.with_stable_steps()
+            if stable is not problem:
+                return stable, error
         return halved if needed <= halved.step.substeps else problem.with_substeps(needed), error
     return (problem.with_substeps(needed) if needed > used else None), error
 

@@ -639,6 +639,7 @@ def _write_strategy(finding: Finding) -> str:
         "white_noise": (
             "; the noise is assumed to be white, because a free run does not follow this plant; the intervals allow for its colour"
         ),
+        "went_on": "; that led no farther, and the search went on by free runs from the best point",
     }.get(v.get("completion", ""), "")
     if not v.get("reason"):
         return text
@@ -672,6 +673,9 @@ register(
         TranscriptionReason.UNSTABLE: (
             "the model is unstable: errors grow at {rate:.3g} 1/s, by e^{exponent:.3g} over the record of {duration:.4g} s, too far for"
             " a free run"
+        ),
+        TranscriptionReason.FREE_RUN_FOLLOWS: (
+            "the model is stiff, and a free run follows the records although errors may grow at {rate:.3g} 1/s"
         ),
         TranscriptionReason.STIFF_IMPLICIT: f"{_STIFF}; a few implicit steps suffice",
         TranscriptionReason.STIFF_NOT_SMOOTH: (

@@ -20,6 +20,11 @@ INTEGRATING_TEXT = "the model integrates (12.5 s are 83 time constants of its sl
             {"rate": 4.4295, "exponent": 88.59, "duration": 20.0},
             "the model is unstable: errors grow at 4.43 1/s, by e^88.6 over the record of 20 s, too far for a free run",
         ),
+        (
+            TranscriptionReason.FREE_RUN_FOLLOWS,
+            {"rate": 4.4295, "exponent": 88.59, "duration": 20.0},
+            "the model is stiff, and a free run follows the records although errors may grow at 4.43 1/s",
+        ),
         (TranscriptionReason.STIFF_IMPLICIT, STIFF, f"{STIFF_TEXT}; a few implicit steps suffice"),
         (
             TranscriptionReason.STIFF_NOT_SMOOTH,
@@ -61,6 +66,12 @@ STRATEGIES = [
         {"segments": 4, "reason": "", "completion": "white_noise"},
         "multiple shooting over 4 segments, as requested; the noise is assumed to be white, because a free run does not follow"
         " this plant; the intervals allow for its colour",
+    ),
+    (
+        "multiple",
+        {"segments": 4, "reason": "", "completion": "went_on"},
+        "multiple shooting over 4 segments, as requested; that led no farther, and the search went on by free runs from the best"
+        " point",
     ),
     (
         "collocation-radau",
