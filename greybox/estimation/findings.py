@@ -185,7 +185,7 @@ def _name_point(model: Model, x: np.ndarray, u: np.ndarray) -> list[dict[str, st
 
 
 def find_status_details(optimum: Optimum) -> tuple[Finding, ...]:
-    """Why a run broke off, or the largest misfit over noise: a wrong model converges too.
+    """Why a run broke off, or the largest misfit over noise, as a wrong model converges too, and what steps that are too long change.
 
     For a filter it is the largest error one step ahead with that of the free run beside it.
     """
@@ -198,16 +198,18 @@ def find_status_details(optimum: Optimum) -> tuple[Finding, ...]:
         if failed:
             return (locate_simulation_failure(optimum.problem, optimum.variables, *failed),)
         ratios = {name: m.noise_ratio for name, m in misfit.items()}
+    # Converged, but with steps that the constants depend on: that stands beside the status.
+    steps = find_step_issues(optimum)
     if not ratios:
-        return ()
+        return steps
     worst = max(ratios, key=lambda name: ratios[name])
     if isinstance(optimum, PredictionOptimum):
         both = {"one_step": ratios[worst], "free_run": misfit[worst].noise_ratio}
-        return (Finding(EstimationCode.PREDICTION_RATIO, Severity.NOTE, worst, both),)
+        return (Finding(EstimationCode.PREDICTION_RATIO, Severity.NOTE, worst, both), *steps)
     values: dict[str, Any] = {"ratio": ratios[worst], "without_outliers": misfit[worst].without_outliers}
     if misfit[worst].direction is BoundDirection.AT_MOST:
         values["least_ratio"] = ratios[worst]
-    return (Finding(EstimationCode.MISFIT_RATIO, Severity.NOTE, worst, values),)
+    return (Finding(EstimationCode.MISFIT_RATIO, Severity.NOTE, worst, values), *steps)
 
 
 def is_at_noise(optimum: Optimum) -> bool:
@@ -296,21 +298,29 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     if predicts and optimum.solution.problem.noise.coloured:
         warn(EstimationCode.NOISE_COLOUR_IGNORED, Severity.NOTE)
     result += _find_unmet_relations(optimum)
-    # The integration step: what it leaves in the outputs, and by how much half of it moves parameters.
+    result += find_step_issues(optimum)
+    return tuple(result)
+
+
+def find_step_issues(optimum: Optimum) -> tuple[Finding, ...]:
+    """What the integration step leaves in the outputs of a free run, and by how much half of it moves parameters, where that matters."""
+    problem, variables, covariance = optimum.problem, optimum.variables, optimum.covariance
+    free_run = {} if isinstance(optimum, PredictionOptimum) else optimum.misfit
     outputs = [o.name for o in problem.model.outputs]
     error = dict(zip(outputs, optimum.solution.integration_error, strict=True))
-    coarse = [n for n in free_run if error[n] > INTEGRATION_ERROR and error[n] > INTEGRATION_SHARE * weighed[n]]
+    # Beside a misfit far above the noise less than a hundredth of it matters.
+    least = {n: INTEGRATION_SHARE * compute_weighed_ratio(problem.noise, n, m) for n, m in free_run.items()}
+    coarse = [n for n in free_run if error[n] > max(INTEGRATION_ERROR, least[n])]
+    result = []
     if coarse:
-        warn(EstimationCode.INTEGRATION_TOO_COARSE, outputs=coarse)
+        result.append(Finding(EstimationCode.INTEGRATION_TOO_COARSE, Severity.WARNING, "", {"outputs": coarse}))
     deviations, shift = np.sqrt(np.diag(covariance.covariance)), optimum.step_shift
     known = np.isfinite(deviations) & np.isfinite(shift)
     change = np.where(known, shift, 0.0) * np.where(known, deviations, 0.0)
     moved = known & (shift > STEP_SHIFT) & (change > LAST_DIGIT * np.abs(variables.base))
     if moved.any():
-        warn(
-            EstimationCode.STEP_MOVES_PARAMETERS,
-            shifts={variables.names[k]: float(shift[k]) for k in np.flatnonzero(moved)},
-        )
+        shifts = {variables.names[k]: float(shift[k]) for k in np.flatnonzero(moved)}
+        result.append(Finding(EstimationCode.STEP_MOVES_PARAMETERS, Severity.WARNING, "", {"shifts": shifts}))
     return tuple(result)
 
 

@@ -43,6 +43,7 @@ from greybox.estimation.findings import (
     find_prior_conflicts,
     find_record_trends,
     find_status_details,
+    find_step_issues,
     find_validation_issues,
     is_at_noise,
     is_output_at_noise,
@@ -64,6 +65,7 @@ from greybox.estimation.transcription.problem import (
     make_strategy,
     prepare_problem,
 )
+from greybox.estimation.transcription.single_shooting import solve_single_shooting
 from greybox.estimation.validate import validate
 from greybox.model import Effect, Model, equations_text
 from greybox.model.definition import declare
@@ -219,6 +221,7 @@ def fit(
                     optimum, starts, notices = _try_other_starts(
                         begun, trouble, problem, experiments, options, colour, report, interrupt
                     )
+            optimum = _refine_for_constants(optimum, options, report)
     model.require_unchanged()
     exchange = None
     if isinstance(optimum, SimulationOptimum) and options.other_starts > 0:
@@ -367,6 +370,30 @@ def _begin_with_effects(
         if ends[-1].status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(ends[-1])):
             break
     return min(ends, key=ratio)
+
+
+def _refine_for_constants(
+    optimum: SimulationOptimum, options: FitOptions, report: FitProgressCallback | None
+) -> SimulationOptimum:
+    """The optimum with ever shorter steps, as long as half of them still moves its constants or leaves an error that matters beside the
+    noise; whatever is left is a finding, and stands beside the status.
+    """
+    policy = options.policy.step_refinement
+    for _ in range(policy.halvings):
+        solution = optimum.solution
+        step = solution.problem.step
+        if not optimum.status.success or solution.joined or options.substeps or step.substeps >= policy.max_substeps:
+            break
+        if not find_step_issues(optimum):
+            break
+        problem = solution.at_optimum
+        finer = problem.with_stable_steps() if options.method == "automatic" else problem
+        finer = problem.halve_step() if finer is problem else finer
+        again = solve_single_shooting(finer, replace(options, progressive=False), report).with_work_of(solution)
+        if not again.status.success:
+            break
+        optimum = SimulationOptimum(optimum.model, replace(again, strategy=solution.strategy, shares=solution.shares))
+    return optimum
 
 
 class SearchTrouble(StrEnum):

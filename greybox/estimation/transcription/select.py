@@ -56,7 +56,8 @@ def select_transcription(problem: EstimationProblem, options: FitOptions) -> Tra
         policy=policy.transcription,
         free_run=options.transcription == Transcription.SINGLE,
     )
-    if proposal.implicit and options.method == "automatic" and not options.substeps:
+    # One that goes on from a solution keeps the steps that were found there.
+    if proposal.implicit and problem.method == options.method == "automatic" and not options.substeps:
         problem = replace(problem, method=proposal.implicit).with_step(0, p)
         if is_led_astray(problem):
             problem = problem.with_stable_steps()
