@@ -1,0 +1,200 @@
+"""A fit never ends worse than it began: plants, ways of solving, methods and starts, compared at one noise by runs as fine as it takes."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from fits.stiff_problems import PROBLEMS
+from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit, simulate
+from greybox.base.errors import ModelError
+from greybox.data.noise import NoiseSource
+from greybox.estimation.findings import EstimationCode
+from greybox.estimation.fit import draw_starts
+from greybox.estimation.noise_loop import keep_best, solve
+from greybox.estimation.optim.gauss_newton import run_gradient_sampling
+from greybox.estimation.optim.minimisation import (
+    DEFAULT_POLICY,
+    GradientSamplingPolicy,
+    Minimisation,
+    TerminationStatus,
+)
+from greybox.estimation.optim.quadratic_model import QuadraticModel
+from greybox.estimation.transcription.problem import Completion, TranscriptionReason, prepare_problem
+from tests.oracles.independent import multisine, solved_record
+from tests.support.oscillator import oscillator
+
+NOISE = 1e-3
+
+
+def driven(*constants, rows=200, period=0.02):
+    model = oscillator("driven", *constants)
+    u = multisine(np.random.default_rng(0), rows, period, 0.05, 1.5, 3.0)
+    return model, solved_record(model, u, np.arange(rows) * period, [0.0, 0.0], {"x": NOISE})
+
+
+def delayed_lag():
+    """A lag whose input comes 25 whole rows late, where the slope along the delay has a kink; its two periods begin at rest."""
+    lag = Model(
+        "lag",
+        [State("x", "1")],
+        [Input("u", "1")],
+        [Output("x", "1")],
+        [Parameter("k", "1/s", 2.0), Parameter("a", "1/s", 1.0)],
+        lambda x, u, p: [Balance("x", "1/s", 1.0, "x", drive=p.k * u.u, loss=-p.a * x.x)],
+    )
+    model = (lag + effect("transport_delay")).bound(delay=(0.0, 2.0)).start(delay=0.5)
+    t = 0.02 * np.arange(400)
+    blank = Experiment("blank", t, {"u": np.where(t % 3 < 1.5, 1.0, 0.2)}, {}, "zero", before={"u": np.array([0.0])})
+    y = simulate(model, blank).outputs["x"] + NOISE * np.random.default_rng(0).normal(size=len(t))
+    return model, Experiment("delayed", t, blank.inputs, {"x": y}, "zero", before={"u": np.array([0.0])})
+
+
+def stiff(name):
+    return PROBLEMS[name].model(), PROBLEMS[name].record()
+
+
+PLANTS = {
+    "hardening": lambda: driven(0.3, 4.0, 6.0, 2.0),
+    "two wells": lambda: driven(0.3, -4.0, 6.0, 2.0, rows=120, period=0.05),
+    "falling": lambda: driven(0.3, -4.0, 0.01, 2.0, rows=120),
+    "delayed lag": delayed_lag,
+    **{name: (lambda name=name: stiff(name)) for name in ("Robertson", "HIRES", "enzyme cascade", "Oregonator")},
+}
+# An independent run of this one takes seconds.
+QUICK = [pytest.param(name, marks=pytest.mark.slow) if name == "Oregonator" else name for name in PLANTS]
+TRANSCRIPTIONS = ("automatic", "single", "multiple", "collocation-radau")
+METHODS = ("automatic", "rk4", "midpoint", "radau", "esdirk")
+WAYS = [(t, m) for t, m in product(TRANSCRIPTIONS, METHODS) if not t.startswith("collocation") or m == "automatic"]
+# What the steps of a fit may leave in its cost.
+INTEGRATION = 1e-3
+
+
+def compute_cost(model, record, std):
+    """Squared errors over the noise of a run whose steps are as short as it takes."""
+    run = simulate(model, record).outputs
+    with np.errstate(over="ignore", invalid="ignore"):
+        return sum(float(np.nansum(((y - run[n]) / std[n]) ** 2)) for n, y in record.outputs.items())
+
+
+def check_no_worse(model, record, **options):
+    """The fit, whose cost is no higher than that of the run of its start, under the noise that it ended with."""
+    found = fit(model, record, options=FitOptions(at_rest=True, other_starts=0, **options))
+    began, ended = (compute_cost(m, record, found.noise.std) for m in (model, found.model))
+    # Of segments of an unstable plant a free run need not follow: theirs is the cost that the fit has.
+    ended = ended if np.isfinite(ended) else found.solver.cost
+    assert not ended > began * (1 + INTEGRATION), (began, ended, found.status)
+    return found
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_fit_begun_at_the_true_constants_stays_as_good(name):
+    check_no_worse(*PLANTS[name]())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", WAYS, ids="-".join)
+@pytest.mark.parametrize("name", PLANTS)
+def test_no_way_of_solving_ends_worse_than_it_began(name, way):
+    model, record = PLANTS[name]()
+    for start in [{}, *draw_starts(model, 4, seed=0, factor=3.0)]:
+        try:
+            check_no_worse(model.start(**start), record, transcription=way[0], method=way[1])
+        except ModelError:
+            # A way that does not take such a model says so before any work.
+            assert (name, way[0]) == ("delayed lag", "collocation-radau") or (name, way[1]) == ("delayed lag", "esdirk")
+
+
+def test_segments_that_led_astray_give_way_to_the_run_of_the_start():
+    """A solution is made worse by hand; its status says that it failed, as one at its iteration limit does."""
+    model, record = driven(0.3, 4.0, 6.0, 2.0)
+    options = FitOptions(at_rest=True, transcription="multiple")
+    problem = prepare_problem(model, record, {"x": NOISE}, options)
+    found = solve(problem, options)
+    astray = problem.variables.start_at({"k": 400.0})
+    failed = replace(
+        found,
+        status=TerminationStatus.ITERATION_LIMIT,
+        variables=astray,
+        evaluation=problem.shooting(astray).evaluate(astray.here),
+    )
+    kept = keep_best(failed, problem.variables, options)
+    assert kept.status.success
+    assert kept.strategy.values["completion"] == Completion.WENT_ON
+    assert kept.evaluation.cost == pytest.approx(found.evaluation.cost, rel=1e-6)
+    # After Ctrl-C the better point is handed out, and nothing is searched any more.
+    stopped = keep_best(replace(failed, status=TerminationStatus.INTERRUPTED), problem.variables, options)
+    assert stopped.status is TerminationStatus.INTERRUPTED
+    assert stopped.variables is problem.variables
+    assert stopped.evaluations == failed.evaluations
+
+
+@pytest.mark.parametrize("name", ["Robertson", pytest.param("Oregonator", marks=pytest.mark.slow)])
+def test_a_free_run_that_follows_takes_the_place_of_segments_where_a_model_is_stiff(name):
+    """Errors grow in some points; a free run follows all the same, with steps that follow the error."""
+    problem = PROBLEMS[name]
+    std = dict(zip(problem.measured, problem.std.tolist(), strict=True))
+    found = fit(problem.model(), problem.record(), noise=std, options=FitOptions(at_rest=True, other_starts=0))
+    assert found.success
+    assert found.solver.statistics["transcription"] == "single"
+    assert found.solver.strategy.values["reason"] == TranscriptionReason.FREE_RUN_FOLLOWS
+    assert problem.squares({n: found.parameters[n].value for n in problem.names}) < problem.squares({})
+
+
+def test_noise_that_the_residual_refutes_is_not_weighed_with():
+    """Two periods differ by how the record began: an autoregression of that, in place of noise, ended at three times the noise."""
+    model, record = delayed_lag()
+    found = fit(model, record, options=FitOptions(at_rest=True))
+    assert found.misfit["x"].rmse == pytest.approx(NOISE, rel=0.1)
+    assert found.noise.sources["x"] is NoiseSource.RESIDUAL
+    for name, true in (("k", 2.0), ("a", 1.0), ("delay", 0.5)):
+        assert abs(found.parameters[name].value - true) < 4 * found.parameters[name].std
+
+
+def test_steps_on_which_constants_depend_are_made_shorter_or_told():
+    model, record = driven(0.3, 4.0, 6.0, 2.0, period=0.2)
+    codes = (EstimationCode.INTEGRATION_TOO_COARSE, EstimationCode.STEP_MOVES_PARAMETERS)
+    fine = fit(model, record, noise={"x": NOISE}, options=FitOptions(at_rest=True, method="radau"))
+    assert max(fine.discretisation.shift.values()) < 0.1
+    assert not [f for f in fine.solver.details if f.code in codes]
+    coarse = fit(model, record, noise={"x": NOISE}, options=FitOptions(at_rest=True, method="radau", substeps=1))
+    assert [f.code for f in coarse.solver.details if f.code in codes] == list(codes)
+    assert "With half the integration step the parameters change" in coarse.solver.status_message
+
+
+def test_ctrl_c_among_other_starts_keeps_what_is_found(monkeypatch):
+    model, record = driven(0.3, 4.0, 6.0, 2.0)
+    options = FitOptions(at_rest=True, transcription="single", progressive=False)
+    lost = model.start(d=900.0, k=900.0, c=900.0, b=1e-3)
+    alone = fit(lost, record, options=replace(options, other_starts=0, iterations=2))
+    drawn = []
+
+    def interrupt(*arguments, **keywords):
+        if not drawn:  # the second one would end at once
+            signal.raise_signal(signal.SIGINT)
+        drawn.append(1)
+        return draw_starts(*arguments, **keywords)
+
+    monkeypatch.setattr(sys.modules["greybox.estimation.fit"], "draw_starts", interrupt)
+    kept = fit(lost, record, options=replace(options, iterations=2))
+    assert drawn
+    assert {n: q.value for n, q in kept.parameters.items()} == {n: q.value for n, q in alone.parameters.items()}
+
+
+def test_gradient_sampling_leaves_out_runs_about_to_overflow():
+    """Slopes that are no numbers beside a cost that is one ended in a traceback."""
+
+    def evaluate(z):
+        slope = np.array([1.0, np.inf if z[0] > 0 else -1.0])
+        return QuadraticModel(float(np.abs(z).sum()), slope, np.eye(2))
+
+    search = Minimisation(evaluate, 1.0, None, None, DEFAULT_POLICY)
+    bound = np.full(2, np.inf)
+    search(np.array([-1e-3, 1.0]))
+    status = run_gradient_sampling(search, -bound, bound, GradientSamplingPolicy())
+    assert status in (TerminationStatus.KINK, TerminationStatus.ACCEPTABLE, TerminationStatus.STUCK)
