@@ -428,7 +428,9 @@ class NextCommand:
     def spell(self, commands: Mapping[str, Command]) -> str:
         """As it is typed."""
         words = ["greybox", self.command, *map(str, self.arguments)]
-        for option in () if self.alone else commands[self.command].options:
+        # A command that says an option in its own words has it twice: the last counts.
+        options = {} if self.alone else {option.name: option for option in commands[self.command].options}
+        for option in options.values():
             if option.flags and option.place and self.study.sets(option):
                 values = option.kind.typed(self.study.values[option.name])
                 if isinstance(option.kind, kinds.Switch):

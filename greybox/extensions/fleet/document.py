@@ -32,15 +32,14 @@ def describe_fleet(fleet: FleetResult, *, command: str = "") -> doc.Document:
     records = count_noun(fleet.total, "record")
     summary = [f for f in fleet.findings if f.code in (FleetCode.RECORDS_FITTED, FleetCode.RECORDS_LEFT)]
     tone = doc.Tone.GOOD if all(f.severity is Severity.NOTE for f in summary) else doc.Tone.CAUTION
-    title, (first, *more) = fleet.model.title, _tables(fleet)
-    others = [f for f in fleet.findings if f is not fleet.findings[0]]
+    title, tables, (fitted, *others) = fleet.model.title, list(_tables(fleet)), fleet.findings
     return doc.Document(
         f"{title}: {records}",
-        f"{title}: {sentence(fleet.findings[0])}{_spread_text(fleet)}.",
+        f"{title}: {sentence(fitted)}{_spread_text(fleet)}.",
         tone,
-        [first],
+        tables[:1],
         worst_first(others),
-        more,
+        tables[1:],
         f"What are the constants of {title} in each of {records}?",
         doc.Later(_evidence, fleet),
         doc.Later(_sections, fleet, command),

@@ -94,10 +94,14 @@ def _indented(block: doc.Block, width: int) -> list[str]:
     return [f"  {line}" for line in "\n".join(block_lines(block, width - 2)).splitlines()]
 
 
+# A number and its per cent.
+PERCENT = re.compile(r"(?<=\d) (?=%)")
+
+
 def wrap(text: str, width: int, indent: str = "") -> list[str]:
     """Lines of at most ``width`` letters, broken between words; a word that is longer stands alone. Its own lines stay."""
     lines: list[str] = []
-    for line in text.split("\n"):
+    for line in PERCENT.sub("\0", text).split("\n"):
         lead = line[: len(line) - len(line.lstrip())]
         lines += textwrap.wrap(
             line.strip(),
@@ -107,7 +111,7 @@ def wrap(text: str, width: int, indent: str = "") -> list[str]:
             break_long_words=False,
             break_on_hyphens=False,
         ) or [""]
-    return lines
+    return [line.replace("\0", " ") for line in lines]
 
 
 # An option that a value follows.
