@@ -27,7 +27,7 @@ from greybox.base.numerics import (
 )
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.linear_regression import SampledRecord, Scaling, find_mean, to_sampled_record
-from greybox.comparison.blackbox.polynomial import InitialChoice
+from greybox.comparison.blackbox.polynomial import InitialChoice, estimate_initial_state
 from greybox.data.experiment import Experiment, as_records
 
 WEIGHTS = ("cva", "n4sid")
@@ -572,14 +572,18 @@ def _simulate(model: StateSpaceModel, u: np.ndarray, x0: np.ndarray) -> np.ndarr
 
 
 def _estimate_start(model: StateSpaceModel, u: np.ndarray, y: np.ndarray, rows: int | None) -> np.ndarray:
-    """The first state (n,) that the outputs of the first rows show, by least squares."""
-    count = len(u) if rows is None else min(rows, len(u))
-    driven = _simulate(model, u[:count], np.zeros(model.order))
+    """The first state (n,) that the outputs of the first rows show, as far as they show it."""
+    driven = _simulate(model, u, np.zeros(model.order))
     # y_k = C A^k x0 + driven: linear in x0.
-    power, blocks = np.eye(model.order), []
-    for _ in range(count):
-        blocks.append(model.C @ power)
+    power, free = np.eye(model.order), np.empty((*y.shape, model.order))
+    for k in range(len(u)):
+        free[k] = model.C @ power
         power = model.A @ power
-    matrix, target = np.vstack(blocks), (y[:count] - driven).reshape(-1)
-    known = np.isfinite(target) & np.isfinite(matrix).all(axis=1)
-    return np.linalg.lstsq(matrix[known], target[known], rcond=None)[0] if known.any() else np.zeros(model.order)
+    # Each output counts by what the states do to it, whatever its unit.
+    size = np.sqrt(np.mean(free**2, axis=(0, 2)))
+    size = np.where(size > 0, size, 1.0)
+    target = (y - driven) / size
+    if rows is not None:
+        target[rows:] = np.nan
+    free, target = (free / size[:, None]).reshape(-1, model.order), target.reshape(-1)
+    return estimate_initial_state(free, target, np.zeros(len(target)), "estimated", None)
