@@ -119,7 +119,8 @@ LINE_WIDTH = 80
 
 def terminal_width() -> int:
     """Columns of the terminal that the answer goes to."""
-    return shutil.get_terminal_size((LINE_WIDTH, 24)).columns if sys.stdout.isatty() else LINE_WIDTH
+    is_terminal = sys.stdout is not None and sys.stdout.isatty()  # None where the shell has closed it
+    return shutil.get_terminal_size((LINE_WIDTH, 24)).columns if is_terminal else LINE_WIDTH
 
 
 def print_note(message: str) -> None:

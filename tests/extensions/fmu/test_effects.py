@@ -21,6 +21,7 @@ from greybox.extensions.fmu.plant import read_fmu
 from greybox.model.effects.catalogue import applicable_effects
 from greybox.model.equations import equations_text
 from greybox.shell.commands import app
+from greybox.show.describe import text
 from greybox.simulation.kernel.c_compiler import GreyboxWarning
 from tests.support.reference_fmus import MASS, VAN_DER_POL, build_reference_fmu
 from tests.support.result_schema import strict_offences
@@ -166,9 +167,9 @@ def test_a_discovery_names_the_effect(fitted, records):
     assert [c.name for c in found.claims if c.name] == ["input_dead_zone"]
     exact = gb.validate(found.best.model, mass_record(2), noise=NOISE).misfit
     assert {n: e.after for n, e in found.test.items()} == pytest.approx({n: m.rmse for n, m in exact.items()}, rel=1e-6)
-    text = str(found)
-    assert "linear response" in text and "was run" in text
-    assert not any(word in text for word in ("run_x", "response_1"))
+    said = " ".join(text(found, details=True).split())
+    assert "linear response" in said and "was run" in said
+    assert not any(word in said for word in ("run_x", "response_1"))
     assert strict_offences(json.loads(json.dumps(found.as_dict())), Discovery) == []
 
 
