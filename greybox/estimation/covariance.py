@@ -76,6 +76,12 @@ class ParameterCovariance:
     limits: Mapping[int, BoundLimit] = field(default_factory=dict)
     """Of each constant that lies on a bound, by its number."""
 
+    def __post_init__(self) -> None:
+        # A variance below zero is what rounding leaves of a matrix that tells nothing of that constant.
+        if (nothing := np.diag(self.covariance) < 0).any():
+            known = np.where(nothing[:, None] | nothing, np.nan, self.covariance)
+            object.__setattr__(self, "covariance", known)
+
     @classmethod
     def unknown(cls, variables: DecisionVector) -> ParameterCovariance:
         """That of the constants where there is no optimum."""

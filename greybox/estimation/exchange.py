@@ -95,6 +95,8 @@ def find_exchange(optimum: SimulationOptimum, options: FitOptions) -> Exchange |
 def _measure_distance(covariance: ParameterCovariance, v: DecisionVector, twin: Twin) -> float:
     """Half the way to a twin in the standard deviations that the curvature tells, of the constant that goes farthest."""
     places = [v.names.index(name) for name in twin.values]
+    if not places:
+        return np.inf
     way = np.array(list(twin.values.values())) - v.base[places]
     # Where the curvature tells none the twin is here.
     deviations = np.sqrt(np.diag(covariance.covariance)[places])

@@ -127,7 +127,9 @@ def test_every_command_refuses_the_guess_and_writes_nothing(run, torn, tmp_path,
 
 
 def test_the_option_splits_and_says_so(run, torn):
-    result = run("check", "micro_actuator", torn, "--fix", "Ra=8", "--split-holes", "--at-rest", "--no-report")
+    result = run(
+        "check", "micro_actuator", torn, "--fix", "Ra=8", "--split-holes", "--at-rest", "--no-report", "--details"
+    )
     assert result.exit_code == 0
     assert "run[0:200]: 200 rows every 0.00025 s" in result.stdout and "run[200:470]: 270 rows" in result.stdout
     assert "2 records" in result.stderr and "--at-rest" in result.stderr
@@ -155,7 +157,7 @@ def test_runs_in_one_file_are_read_apart_where_time_starts_anew(run, tmp_path):
     with pytest.raises(DataError, match=r"(?s)time is repeated at line 52.*time is repeated at line 252"):
         read_experiments(tmp_path / "both.csv", micro_actuator, split=True)
     (tmp_path / "both.csv").write_text(rows)
-    checked = run("check", "micro_actuator", "both.csv", "--fix", "Ra=8", "--split-holes", "--no-report")
+    checked = run("check", "micro_actuator", "both.csv", "--fix", "Ra=8", "--split-holes", "--no-report", "--details")
     assert checked.exit_code == 0 and "both[200:500]: 300 rows" in checked.stdout and "no effect" not in checked.stderr
 
 

@@ -10,6 +10,7 @@ from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.discovery.pipeline import follow_conditions
 from greybox.estimation.options import FitOptions
 from greybox.model.effects.catalogue import effect
+from greybox.show.describe import text
 
 STAGE = Model(
     "stage",
@@ -57,7 +58,7 @@ def test_a_friction_that_grows_with_the_load_is_found_to_and_the_rest_is_the_sam
     assert friction["condition"] == "load" and friction["kind"] == "proportional"
     assert friction["ratio"] == pytest.approx(4.0, rel=0.1) and "4 times the load" in str(trends["Fc"])
     assert trends["K"].values["kind"] == "alike" and trends["K"].values["records"] == 3
-    assert "Fc grows in proportion to load" in str(found)
+    assert "Fc grows in proportion to load" in " ".join(text(found, details=True).split())
 
 
 def test_records_without_a_condition_are_not_compared() -> None:

@@ -23,6 +23,7 @@ from greybox.model.balance import Balance
 from greybox.model.effects.catalogue import effect
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
+from greybox.show.describe import text
 from greybox.simulation.simulate import simulate
 from models.emps import emps
 from models.micro_actuator import micro_actuator
@@ -319,7 +320,7 @@ def test_the_worst_output_is_the_one_with_the_largest_ratio_that_is_told():
     found = fit(model, clean.with_outputs(noisy), noise=noise, options=FitOptions(at_rest=True))
     (ratio,) = found.solver.details
     assert ratio.subject == "v" and ratio.values["ratio"] == pytest.approx(0.909, rel=0.05)
-    assert found.misfit_at_least["x"] == pytest.approx(0.8, rel=0.05) and found.misfit["x"].noise_ratio > 4
+    assert found.misfit_at_least["x"] == found.misfit["x"].noise_ratio == pytest.approx(0.8, rel=0.05)
 
 
 def test_a_column_in_another_unit_or_of_the_other_sign_is_no_plant_of_this_model():
@@ -446,6 +447,6 @@ def test_what_records_do_not_determine_is_told_in_words_and_not_as_a_number_that
     rng, t = np.random.default_rng(0), 0.01 * np.arange(200)
     noise = rng.normal(size=200)
     answer = np.exp(-t / 0.1) + 1e-3 * noise if kind == "decay" else np.cumsum(noise)
-    text = str(fit(rig, Experiment("free", t, {"u": 0 * t}, {"x": answer})))
-    assert "a has no influence" in text
-    assert not re.search(r"\b(nan|inf)\b", text)
+    said = text(fit(rig, Experiment("free", t, {"u": 0 * t}, {"x": answer})), details=True)
+    assert "a has no influence" in said
+    assert not re.search(r"\b(nan|inf)\b", said)

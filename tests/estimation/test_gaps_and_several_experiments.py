@@ -12,6 +12,7 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.score import score
 from greybox.estimation.uncertainty import bootstrap, profile
+from greybox.show.describe import text
 from greybox.show.figures.pictures import draw_residual_tests
 from tests.support.findings import codes, find
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, three, with_gaps
@@ -161,7 +162,7 @@ def test_a_dead_sensor_beside_a_moving_one_counts_for_nothing(path, rows):
         assert found.parameters[n].value == pytest.approx(alone.parameters[n].value, rel=1e-6)
         assert found.parameters[n].std == pytest.approx(alone.parameters[n].std, rel=1e-4)
     assert find(found.findings, EstimationCode.CONSTANT_OUTPUT_EXCLUDED).values["outputs"] == ["v"]
-    assert list(check(MASS, data).noise) == ["x"] and "excluded: v" in str(check(MASS, data))
+    assert list(check(MASS, data).noise) == ["x"] and "excluded: v" in text(check(MASS, data), details=True)
 
 
 def test_a_dead_sensor_whose_noise_is_given_counts():

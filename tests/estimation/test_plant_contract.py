@@ -21,6 +21,7 @@ from greybox.estimation.profile_pairs import profile_pair
 from greybox.estimation.score import score
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.uncertainty import bootstrap, profile
+from greybox.show.describe import text
 from tests.support.plant_cases import CASES, PlantCase
 
 FITTED: dict[str, tuple[PlantCase, gb.Fit]] = {}
@@ -425,7 +426,7 @@ def test_it_is_checked_before_a_fit(fitted):
     for name, expected in () if any(case.begin.values()) else checked.constants.items():
         assert expected.std == pytest.approx(result.parameters[name].std, rel=0.15)
     if "equations" not in case.abilities:
-        assert checked.structure is None and "run from outside" in str(checked)
+        assert checked.structure is None and "run from outside" in text(checked, details=True)
         with pytest.raises(DataError, match="run from outside"):
             check(case.model)
 

@@ -9,6 +9,7 @@ from greybox.base.errors import ModelError
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.uncertainty import bootstrap, profile
+from greybox.show.describe import text
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.findings import find
@@ -104,7 +105,7 @@ def test_a_held_value_that_the_records_contradict_is_said_with_its_factor(tmp_pa
     assert found.parameters["a"].fixed and found.parameters["a"].value == 1.5 and check.shift == 0
     assert check.factor == pytest.approx(alone[0] / 1.5, rel=1e-6)
     assert find(found.findings, EstimationCode.PRIOR_CONFLICT).subject == "a"
-    assert "data over prior" in str(found)
+    assert "data over prior" in text(found, details=True)
     again = load_fit(found.save(tmp_path / "fit.json"), LINE)
     assert again.constraints.priors == found.constraints.priors and again.parameters["a"].fixed
     agreeing = fit(LINE.prior(a=(1.2, 0.05)).fix("a"), data, noise={"y": NOISE}, options=REST)
@@ -207,7 +208,9 @@ def test_a_weighed_mass_closes_the_scale_of_the_actuator():
     check = found.constraints.priors["M"]
     assert check.conflict is None and check.variance_reduction < 1e-3 and abs(check.shift) < 1e-3
     assert find(found.findings, EstimationCode.HELD_BY_PRIOR).values["parameters"] == ["M"]
-    assert "variance reduction" in str(found) and "prior 0.0101 +- 0.0001" in str(free.prior(M=(0.0101, 0.0001)))
+    assert "variance reduction" in text(found, details=True) and "prior 0.0101 +- 0.0001" in str(
+        free.prior(M=(0.0101, 0.0001))
+    )
 
 
 def test_curvature_profile_and_bootstrap_agree():

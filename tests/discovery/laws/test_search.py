@@ -117,11 +117,11 @@ def test_a_law_that_takes_nothing_of_the_error_is_none(found, monkeypatch):
     assert answer.holdout["a"].after == answer.holdout["a"].before
 
 
-def test_a_plain_model_whose_run_goes_astray_is_infinitely_wrong():
-    """The brusselator without the reaction that ends it: its concentrations pass all numbers, and the law is the answer."""
+def test_a_law_takes_the_error_of_a_plain_model_whose_run_goes_astray():
+    """The brusselator without the reaction that ends it: its concentrations grow without end, and the law is the answer."""
     brusselator = next(system for system in SYSTEMS if system.name == "brusselator")
     case = run_case(brusselator, "dropped", "1")
-    assert case["right"] and case["grade"] == "established" and case["share"] == 1.0
+    assert case["right"] and case["grade"] == "established" and case["share"] > 0.98
 
 
 def test_the_equation_is_claimed_at_every_depth(found):

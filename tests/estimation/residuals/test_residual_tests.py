@@ -230,4 +230,7 @@ def test_a_test_that_too_few_values_allow_is_not_made():
     assert tests.tests == ()
     kinds = {kind for kind in Kind if kind not in ("input_independence", "same_row")}  # the input does not move
     assert {output: set(missing) for output, missing in tests.not_made.items()} == {"y": kinds}
-    assert str(tests) == "not tested: y has too few values for whiteness, normality, equal variance, equal mean"
+    assert (
+        " ".join(str(tests).split())
+        == "not tested: y has too few values for whiteness, normality, equal variance, equal mean"
+    )

@@ -99,9 +99,9 @@ def test_a_perturbed_constant_returns_within_its_interval(build, version, kind):
     result = gb.fit(plant.model.start(mu=0.8), record)
     low, high = result.parameters["mu"].interval
     assert result.success and low < 1.4 < high and high - low < 0.05
-    assert result.solver.statistics["simulation_equivalents"] <= 8 + 4 * (kind == "ModelExchange")
+    assert result.solver.statistics["simulation_equivalents"] <= 9 + 4 * (kind == "ModelExchange")
     assert result.misfit["x0"].rmse == pytest.approx(0.02, rel=0.15)
-    assert "mu" in str(result) and result.solver.statistics["runs"] <= 15
+    assert "mu" in str(result) and result.solver.statistics["runs"] <= 16
 
 
 def test_dahlquist_has_the_interval_of_least_squares(build):
@@ -160,7 +160,7 @@ def test_our_own_export_gives_its_constants_back_in_fifty_simulations(exported, 
     result = gb.fit(plant.with_values(list(start), start), actuator_record(), validation=actuator_record(1))
     cost = result.solver.statistics
     # Some four of them tell whether the multisine, smooth and exact, was held or straight between rows.
-    assert result.success and cost["simulation_equivalents"] <= 27 and cost["failed_runs"] == 0
+    assert result.success and cost["simulation_equivalents"] <= 28 and cost["failed_runs"] == 0
     for name in start:
         estimate = result.parameters[name]
         assert abs(estimate.value - true[name]) < 3 * estimate.std
@@ -232,7 +232,7 @@ def test_the_command_fits_an_fmu(exported, tmp_path):
     more = ["--profile", "K", "--prior", "B=0.5+-5", "--starts", "2", "--output", str(tmp_path / "out")]
     done = CliRunner().invoke(app, [*words, *more])
     assert done.exit_code == 0, done.output
-    assert "converged" in done.stdout and (tmp_path / "out" / "report.html").is_file()
+    assert "explains its records" in done.stdout and (tmp_path / "out" / "report.html").is_file()
     data = read_json(tmp_path / "out" / "fit.json", gb.Fit)
     assert strict_offences(data, FitAnswer) == [] and set(data["free"]) == {"K", "B"}
     assert [p["name"] for p in data["profiles"]] == ["K"] and data["tests"] and len(data["ends"]) == 2

@@ -14,6 +14,7 @@ from greybox.model.effects.placement import find_placements
 from greybox.model.effects.roles import ROLES, RoleOwner
 from greybox.model.effects.scales import measure_scales
 from greybox.model.sites import NEEDED
+from greybox.show.describe import text
 from greybox.show.sentences.model import describe_missing, write_roles_page
 
 # What an effect sees at its site under these words, whatever the model calls it; and other balances by their names.
@@ -83,9 +84,9 @@ def test_a_check_tells_roles_places_and_what_lacks() -> None:
     assert {"name": "coulomb_friction", "site": "torque"} in data["effects"]
     lacking = {entry["name"]: entry["missing"] for entry in data["without_place"]}
     assert lacking["valve_lag"] == {"kind": "site", "name": "valve"}
-    text = str(found)
-    assert "roles           w velocity, i current" in text and "without one: q" in text
-    assert "  an input with the role `valve`: valve_dead_zone, valve_hysteresis, valve_lag" in text
+    said = text(found, 200, details=True)
+    assert "roles           w velocity, i current" in said and "without one: q" in said
+    assert "  an input with the role `valve`: valve_dead_zone, valve_hysteresis, valve_lag" in said
 
 
 def test_the_page_is_that_of_the_program() -> None:

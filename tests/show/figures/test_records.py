@@ -11,7 +11,7 @@ from scipy.signal import periodogram
 from greybox.base.figure import Band, Curve, Role, Scale, Thinning
 from greybox.estimation.errors import compute_record_misfits
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import FitNoise, Misfit, Trace, Validation
+from greybox.estimation.result_parts import FitNoise, Misfit, Provenance, Trace, Validation
 from greybox.show.figures.pictures import fit_sheets
 from greybox.show.figures.plotly_backend import to_plotly
 from greybox.show.figures.records import (
@@ -115,12 +115,18 @@ def test_the_closer_look_is_where_the_record_lies_furthest_from_its_mean() -> No
 def judged(validation: list[Trace], pooled: dict[str, Misfit]) -> Fit:
     """A fit of the displacement alone, with records for validation that have the current too."""
     empty = dict.fromkeys((f.name for f in fields(Fit)), None)
-    known = {"model": micro_actuator, "traces": [trace("train", x=1e-7)], "noise": FitNoise({"x": 1e-7})}
+    known = {
+        "model": micro_actuator,
+        "parameters": {},
+        "provenance": Provenance(),
+        "traces": [trace("train", x=1e-7)],
+        "noise": FitNoise({"x": 1e-7}),
+    }
     return Fit(**(empty | known | {"validation": Validation(pooled, validation)}))
 
 
 def test_each_record_has_its_own_misfit() -> None:
-    pooled = {"x": Misfit(3e-7, "m", 99.0, 3.0, 200), "i": Misfit(0.01, "A", 99.0, 2.0, 200)}
+    pooled = {"x": Misfit(3e-7, "m", 99.0, 3.0, 200, 1e-7), "i": Misfit(0.01, "A", 99.0, 2.0, 200, 0.005)}
     good, bad = trace("good", x=1e-7, i=0.005), trace("bad", x=5e-7, i=0.02)
     spoiled = bad.measured["x"] + (np.arange(len(bad.time)) < 20)
     bad = replace(bad, measured={**bad.measured, "x": spoiled})
@@ -134,12 +140,12 @@ def test_each_record_has_its_own_misfit() -> None:
 
 
 def test_a_sheet_for_each_record_has_its_misfit_above() -> None:
-    pooled = {"x": Misfit(3e-7, "m", 99.0, 3.0, 200)}
+    pooled = {"x": Misfit(3e-7, "m", 99.0, 3.0, 200, 1e-7)}
     sheets = fit_sheets(judged([trace("good", x=1e-7, i=0.005), trace("bad", rows=900, x=5e-7)], pooled))
     assert [s.name for s in sheets] == ["fit-train", "validation-good", "validation-bad"]
     titles = [cell.titles[0] for sheet in sheets for cell in sheet.cells if cell.titles]
     misfits = [title.partition("best fit")[0] for title in titles if "best fit" in title]
-    assert misfits == ["x: misfit 1 × noise, ", "x: misfit 1 × noise, ", "i: ", "x: misfit 5 × noise, "]
+    assert misfits == ["x: misfit 1.00 × noise, ", "x: misfit 1.00 × noise, ", "i: ", "x: misfit 5.00 × noise, "]
     assert [len(sheet.cells) for sheet in sheets] == [2, 4, 4]
     assert [c.window is not None for c in sheets[2].cells] == [False, False, True, True]
 
