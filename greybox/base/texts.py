@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import textwrap
 import unicodedata
 from collections.abc import Callable, Collection, Iterable
 
@@ -88,3 +89,28 @@ def to_identifiers(
             unique = f"{plain}_{number}"
         result.append(unique)
     return result
+
+
+# Lines of a terminal.
+
+
+# Columns of a line where no terminal says how many it has.
+LINE_WIDTH = 80
+# A number and its per cent.
+PERCENT = re.compile(r"(?<=\d) (?=%)")
+
+
+def wrap(text: str, width: int, indent: str = "") -> list[str]:
+    """Lines of at most ``width`` letters, broken between words; a word that is longer stands alone. Its own lines stay."""
+    lines: list[str] = []
+    for line in PERCENT.sub("\0", text).split("\n"):
+        lead = line[: len(line) - len(line.lstrip())]
+        lines += textwrap.wrap(
+            line.strip(),
+            width,
+            initial_indent=lead,
+            subsequent_indent=indent if len(indent) > len(lead) else f"{lead}{indent}" if lead else indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        ) or [""]
+    return [line.replace("\0", " ") for line in lines]

@@ -402,7 +402,7 @@ REST_SHARE = 0.1
 
 def _choose_beginning(box: BlackBoxModel, record: Experiment, at_rest: bool) -> InitialChoice:
     """Rest is a statement about states, not about zero: a box that was fitted from rest begins there if the record does."""
-    if not at_rest or getattr(box, "history", "") != "zero":
+    if not at_rest or box.history != "zero":
         return "estimated"
     y = record.outputs[box.output]
     away = y[np.argmax(np.isfinite(y))] - getattr(box, "rest", 0.0)

@@ -237,7 +237,7 @@ def find_bound_limits(
         inward = 1.0 if low[k] >= -AT_BOUND else -1.0
         # Where the least cost would be without the bound, from the bound inwards: - A^-1 g / 2.
         best = -inward * float(newton[place] @ evaluation.gradient) / 2
-        deviation = float(np.sqrt(covariance[place, place]))
+        deviation = float(np.sqrt(max(covariance[place, place], 0.0)))
         if decomposition.is_open[place] or not (np.isfinite(best) and deviation > 0):
             limits[int(k)] = BoundLimit(None, 0.0)
             continue

@@ -95,8 +95,6 @@ def find_exchange(optimum: SimulationOptimum, options: FitOptions) -> Exchange |
 def _measure_distance(covariance: ParameterCovariance, v: DecisionVector, twin: Twin) -> float:
     """Half the way to a twin in the standard deviations that the curvature tells, of the constant that goes farthest."""
     places = [v.names.index(name) for name in twin.values]
-    if not places:
-        return np.inf
     way = np.array(list(twin.values.values())) - v.base[places]
     # Where the curvature tells none the twin is here.
     deviations = np.sqrt(np.diag(covariance.covariance)[places])
@@ -166,8 +164,9 @@ def _find_sums(
         if len(places) > 1:
             value = float(v.base[places].sum())
             # var(a + b) = sum of all their covariances
-            std = float(np.sqrt(covariance.covariance[np.ix_(places, places)].sum()))
-            if np.isfinite(std):
+            variance = float(covariance.covariance[np.ix_(places, places)].sum())
+            if np.isfinite(variance) and variance > 0:
+                std = float(np.sqrt(variance))
                 reach, bounds = compute_quantile(covariance.degrees) * std, (-np.inf, np.inf)
                 ends = compute_interval(value, reach, bool(v.logarithmic[places].all()), bounds)
                 names = [v.names[k] for k in places]

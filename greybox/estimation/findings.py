@@ -598,10 +598,8 @@ def find_driven_balances(model: Model, name: str) -> dict[str, tuple[str, str, f
     return driven
 
 
-# Weight of a constant in an open direction, over the largest one, below which it takes no part, and from which it is listed: a hundredth
-# of it only blurs a sentence.
+# Weight of a constant in an open direction, over the largest one, below which it takes no part.
 OPEN_WEIGHT = 1e-6
-LISTED_WEIGHT = 0.01
 # Change of the first of two constants, in its logarithm, with which a formula for what they determine together is tried in a run.
 FORMULA_STEP = 0.3
 # What such a run may add to the cost, over the variance of the residual.

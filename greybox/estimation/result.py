@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -38,6 +39,10 @@ class ResultCode(StrEnum):
 
 # A fit as a value, and as a file ``fit.json`` that is written and read without loss. Its keys are flat and stay the same from version to
 # version.
+
+
+# Up to so many times the noise an error counts as noise: its level is known to about a tenth.
+GOOD_MISFIT = 1.2
 
 
 @dataclass(frozen=True)
@@ -122,6 +127,28 @@ class Fit(Printable, ReadOnly, StoredResult):
     def success(self) -> bool:
         """Whether the search ended at an optimum."""
         return self.solver.success
+
+    @property
+    def judged_misfit(self) -> Mapping[str, result_parts.Misfit]:
+        """What the model is judged by: its free run, or the prediction that its process noise corrects."""
+        return self.prediction.one_step if self.prediction.process_noise else self.misfit
+
+    @property
+    def judges_validation(self) -> bool:
+        """Whether validation records judge it: not with the mean of constants that each record has for itself, nor a predicting model."""
+        return bool(self.validation) and not (self.constraints.per_experiment or self.prediction.process_noise)
+
+    @property
+    def explains_records(self) -> bool:
+        """Whether no error is above its noise, on the fitted records and on those that judge: ``success`` is no word on that."""
+        judged = self.validation.misfit if self.judges_validation else {}
+        misfits = (*self.judged_misfit.values(), *judged.values())
+        return not any(GOOD_MISFIT < m.noise_ratio < math.inf for m in misfits)
+
+    @property
+    def worse_than_constant(self) -> tuple[str, ...]:
+        """Outputs above their noise that their own mean would follow better than the model: an optimum that describes nothing."""
+        return tuple(n for n, m in self.judged_misfit.items() if m.best_fit_percent < 0 and m.noise_ratio > GOOD_MISFIT)
 
     @property
     def status(self) -> str:

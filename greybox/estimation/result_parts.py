@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from importlib.util import find_spec
 from typing import Any, ClassVar
 
 import numpy as np
@@ -110,9 +111,9 @@ class Estimates(Mapping[str, Estimate]):
         frame = pandas.DataFrame(rows, pandas.Index(list(self), name="parameter"), heads)
         return frame.astype(dict.fromkeys(heads[:4], float))
 
-    def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        return str(self.to_frame()._repr_html_())
+    def _repr_html_(self) -> str | None:
+        """What a notebook shows; the plain text where there is no pandas."""
+        return None if find_spec("pandas") is None else str(self.to_frame()._repr_html_())
 
 
 @dataclass(frozen=True)

@@ -248,12 +248,6 @@ class RigParts:
         needs = effect.needs
         return needs[0] if needs and all(name in self.lacks for name in needs) else ""
 
-    def open_needs(self, effect: Effect) -> tuple[str, ...]:
-        """The parts on which it hangs whether an effect is possible; empty where one is there, and where none is needed."""
-        if any(name in self.has for name in effect.needs):
-            return ()
-        return tuple(name for name in effect.needs if self.is_open(name))
-
     def occurrence(self, effect: Effect) -> Occurrence:
         """The class of an effect on this rig: that of the first of its parts that is there, else its own."""
         return next((kind for name, kind in effect.occurs_with.items() if name in self.has), effect.occurs)

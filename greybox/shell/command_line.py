@@ -12,7 +12,7 @@ from click.shell_completion import CompletionItem
 
 from greybox.base import ExitCode, Finding, GreyboxError
 from greybox.base.files import watch_replaced
-from greybox.base.texts import to_word
+from greybox.base.texts import to_word, wrap
 from greybox.shell.study import Answer, Command, Option, Study
 from greybox.shell.study_file import is_study_file, read_study, with_overrides, write_study
 from greybox.shell.study_values import Choice, Count, File, ModelName, Number, Switch, Word
@@ -223,7 +223,7 @@ def _show(answer: Answer, study: Study, commands: Mapping[str, Command]) -> None
     width = terminal_width()
     if not (study.silent or study.json):
         from greybox.show.describe import text
-        from greybox.show.printers.text import wrap, wrap_command
+        from greybox.show.printers.text import wrap_command
 
         shown = answer.text
         print_answer(shown if isinstance(shown, str) else text(shown, width, details=study.details))

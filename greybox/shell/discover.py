@@ -135,18 +135,8 @@ DISCOVER = Command(
     discover,
     "Find the effect that a model lacks.",
     (
-        *(*ESTIMATING, Study.candidates, Study.without, Study.without_family, Study.has, Study.lacks),
-        *(
-            Study.further,
-            Study.laws,
-            Study.priors,
-            Study.ties,
-            Study.quiet,
-            Study.validation,
-            Study.test,
-            Study.skip,
-            Study.beginning,
-        ),
+        *(*ESTIMATING, Study.candidates, Study.without, Study.without_family, Study.has, Study.lacks, Study.further),
+        *(Study.laws, Study.priors, Study.ties, Study.quiet, Study.validation, Study.test, Study.skip, Study.beginning),
         Study.estimation.but(usage="ESTIMATION", help="Records to learn from, headers 'name [unit]'.", required=True),
         Study.time_limit.but(
             help="End the search after so many seconds, with the best answer so far. The same command continues it."

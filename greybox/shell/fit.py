@@ -115,11 +115,10 @@ def fit(study: Study) -> Answer:
         older = ", those there are of an earlier fit" if (saved.parent / "report.html").exists() else ""
         failure = f"interrupted; the best point so far is in {saved} (no figures, no report{older})"
         return Answer(**shown, failure=failure, code=ExitCode.INTERRUPTED)
-    from greybox.show.documents.fit import worse_than_constant
-
     failure = "" if result.success else f"no success: {result.solver.status_message}"
-    if result.success and (lost := worse_than_constant(result)):
-        failure = f"the model does not explain its records: worse than a constant in {', '.join(lost)}"
+    if result.success and result.worse_than_constant:
+        lost = ", ".join(result.worse_than_constant)
+        failure = f"the model does not explain its records: worse than a constant in {lost}"
     return Answer(
         **shown,
         next=next_command(study, result, saved),
@@ -135,12 +134,11 @@ def fit(study: Study) -> Answer:
 def next_command(study: Study, result: Fit, saved: Path) -> NextCommand:
     """What a colleague would type after a fit: what is missing, or where the model goes."""
     from greybox.shell.project import is_model_path
-    from greybox.show.documents.fit import explains_records
 
     records = (study.model, *study.estimation)
     if not result.success:
         return study.then("check", *records)
-    if not explains_records(result):
+    if not result.explains_records:
         return study.then("discover", *records)
     if not result.model.has_equations:
         return study.then("compare", *records)

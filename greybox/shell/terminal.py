@@ -10,7 +10,6 @@ import shlex
 import shutil
 import signal
 import sys
-import textwrap
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Sequence
@@ -18,13 +17,13 @@ from enum import StrEnum
 from itertools import pairwise
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 import click
 
 from greybox.base.errors import ExitCode, GreyboxError, OutputError, WorkersLostError, nearest
 from greybox.base.extensions import ExtensionKind, describe_failures
-from greybox.base.texts import to_lines, to_message
+from greybox.base.texts import LINE_WIDTH, to_lines, to_message, wrap
 
 if TYPE_CHECKING:
     from greybox.base import Finding
@@ -113,23 +112,21 @@ def exit_with_error(message: str, code: ExitCode) -> NoReturn:
     raise click.exceptions.Exit(code)
 
 
-# Columns of a line where the output goes to a file or another program.
-LINE_WIDTH = 80
+def is_terminal(stream: TextIO | None) -> bool:
+    """Whether somebody reads a stream on a terminal; it is None where the shell has closed it."""
+    return stream is not None and stream.isatty()
 
 
 def terminal_width() -> int:
     """Columns of the terminal that the answer goes to."""
-    is_terminal = sys.stdout is not None and sys.stdout.isatty()  # None where the shell has closed it
-    return shutil.get_terminal_size((LINE_WIDTH, 24)).columns if is_terminal else LINE_WIDTH
+    return shutil.get_terminal_size((LINE_WIDTH, 24)).columns if is_terminal(sys.stdout) else LINE_WIDTH
 
 
 def print_note(message: str) -> None:
     """A line on stderr, so that stdout stays what was asked for; on a terminal no word of it is broken."""
     text = to_message(message)
-    if sys.stderr.isatty():
-        width = shutil.get_terminal_size((LINE_WIDTH, 24)).columns
-        lines = textwrap.TextWrapper(width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
-        text = "\n".join(map(lines.fill, text.split("\n")))
+    if is_terminal(sys.stderr):
+        text = "\n".join(wrap(text, shutil.get_terminal_size((LINE_WIDTH, 24)).columns, "  "))
     click.echo(text, err=True)
 
 

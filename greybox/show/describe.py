@@ -11,8 +11,8 @@ from typing import Any
 
 from greybox.base import Check, Finding, GreyboxError
 from greybox.base.document import Document, Paragraphs
-from greybox.base.texts import to_lines
-from greybox.show.printers.text import LINE_WIDTH, print_text
+from greybox.base.texts import LINE_WIDTH, to_lines
+from greybox.show.printers.text import print_text
 from greybox.show.sentences.registry import EXTENSIONS, find_writer, sentence
 
 Describer = Callable[..., Document]

@@ -321,6 +321,7 @@ def test_the_worst_output_is_the_one_with_the_largest_ratio_that_is_told():
     (ratio,) = found.solver.details
     assert ratio.subject == "v" and ratio.values["ratio"] == pytest.approx(0.909, rel=0.05)
     assert found.misfit_at_least["x"] == found.misfit["x"].noise_ratio == pytest.approx(0.8, rel=0.05)
+    assert found.misfit["x"].rmse > 4 * found.noise.std["x"]
 
 
 def test_a_column_in_another_unit_or_of_the_other_sign_is_no_plant_of_this_model():

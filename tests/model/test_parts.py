@@ -42,7 +42,6 @@ def test_a_body_that_nothing_drives_or_holds_hangs_on_no_spring():
     assert parts.missing(gb.effect("load_dependent_friction")) == "gear"
     # Whether something rubs on it nobody has said.
     assert parts.is_open("contact") and not parts.missing(gb.effect("coulomb_friction"))
-    assert parts.open_needs(gb.effect("coulomb_friction")) == ("contact",)
 
 
 def test_a_spring_holds_a_body():

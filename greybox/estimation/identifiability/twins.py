@@ -88,6 +88,9 @@ def find_twins(problem: EstimationProblem) -> tuple[Twin, ...]:
         with np.errstate(divide="ignore", invalid="ignore"):
             factors = np.where(base == 0, 1.0, root / base)
         moved = [k for k in everything if abs(factors[k] - 1) > SAME_ROOT]
+        # Where the others brought the run back to these values, or had none that are finite, there is no other answer.
+        if not (moved and np.isfinite(root).all()):
+            continue
         pairs = [(i, j) for i, j in alike if np.allclose(root[[i, j]], base[[j, i]], rtol=SAME_ROOT, atol=0.0)]
         # Where a direction is open the twin is one of many answers: nothing is a choice but what it does not touch.
         if (is_open := _find_open(apart) if is_open is None else is_open)[moved].any():

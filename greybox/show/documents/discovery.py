@@ -78,12 +78,8 @@ def _notes(d: Discovery) -> Iterator[doc.Text]:
     # What the rig has decides the name: the order and the question come before what is left.
     of_rig = (DiscoveryCode.USUAL_FIRST, DiscoveryCode.ASK_PART)
     yield from (f for f in (*d.conclusion, *d.next_steps) if f.code in of_rig)
-    # The errors of each output stand with the answer and in the details.
-    yield from (
-        text
-        for text in sentences([f for f in d.conclusion if f.code not in of_rig])[1:]
-        if not text.startswith("The error in")
-    )
+    # By how much the errors fall stands with the answer and in the details.
+    yield from [f for f in d.conclusion if f.code not in (*of_rig, DiscoveryCode.ERROR_REDUCED)][1:]
     yield from (f for f in tables.worst_first((*d.findings, *d.instruments)) if f.severity is not Severity.NOTE)
     yield from (f for f in d.next_steps if f.code not in of_rig)
     yield from (f"{name} is out: {finding}" for name, finding in d.not_tried.items() if finding.code in FAILED_CODES)

@@ -14,6 +14,7 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.identifiability.practical import recommend_after_fit
 from greybox.estimation.options import Transcription
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
+from greybox.estimation.result import GOOD_MISFIT
 from greybox.show.documents import tables
 from greybox.show.figures import fit as figures
 from greybox.show.figures.figure import stretches_on_page
@@ -107,13 +108,11 @@ def _sections(
 UNDETERMINED = (EstimationCode.PARAMETER_UNDETERMINED, EstimationCode.DIRECTION_UNDETERMINED)
 # What the answer of a fit says already.
 ANSWERED = (EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE)
-# Up to so many times the noise a fit is said to explain its records: noise is known to about a tenth.
-GOOD_MISFIT = 1.2
 
 
 def fit_answer(fit: Fit) -> str:
     """Whether the model explains its records: the worst error, the noise that it is divided by, and the same on other records."""
-    title, worst = fit.model.title, _worst(judged_misfit(fit))
+    title, worst = fit.model.title, _worst(fit.judged_misfit)
     if not fit.success:
         return (
             f"The fit of {title} did not succeed: {fit.solver.status_message}. Use its numbers only for diagnosis: they are those of the"
@@ -124,7 +123,7 @@ def fit_answer(fit: Fit) -> str:
             f"{title}: the noise is not known, so nothing says whether the error of the model is noise{_judged(fit)}."
         )
     output, m = worst
-    if lost := worse_than_constant(fit):
+    if lost := fit.worse_than_constant:
         return (
             f"{title} does not explain its records: their own mean follows {join_names(lost)} better than the model, and its constants"
             f" mean nothing; {error_text(output, m)}."
@@ -137,11 +136,6 @@ def fit_answer(fit: Fit) -> str:
         says = "explains its records"
     ahead = " one sample ahead" if fit.prediction.process_noise else ""
     return f"{title} {says}{ahead}: {error_text(output, m)}{_judged(fit)}."
-
-
-def judged_misfit(fit: Fit) -> Mapping[str, result_parts.Misfit]:
-    """What a fit is judged by: its free run, or the prediction that its process noise corrects."""
-    return fit.prediction.one_step if fit.prediction.process_noise else fit.misfit
 
 
 def error_text(output: str, m: result_parts.Misfit) -> str:
@@ -166,36 +160,19 @@ def _judged(fit: Fit) -> str:
     if worst is None:
         return ""
     records = count_noun(len(fit.validation.traces), "validation record")
-    judges = "" if judges_validation(fit) else ", which judges nothing"
+    judges = "" if fit.judges_validation else ", which judges nothing"
     output, m = worst
     free = " in a free run" if fit.prediction.process_noise else ""
     return f"; on {records}{judges}, {ratio_text(m)} times in {output}{free}"
 
 
-def judges_validation(fit: Fit) -> bool:
-    """Whether the validation judges the model: neither with the mean of constants that each record has for itself, nor a prediction."""
-    return bool(fit.validation) and not (fit.constraints.per_experiment or fit.prediction.process_noise)
-
-
-def explains_records(fit: Fit) -> bool:
-    """Whether no output is above its noise, on the fitted records and on those that judge."""
-    judged = fit.validation.misfit if judges_validation(fit) else {}
-    worst = [_worst(misfit) for misfit in (judged_misfit(fit), judged)]
-    return all(w is None or w[1].noise_ratio <= GOOD_MISFIT for w in worst)
-
-
-def worse_than_constant(fit: Fit) -> list[str]:
-    """Outputs above their noise that their own mean would follow better than the model does: an optimum that describes nothing."""
-    return [n for n, m in judged_misfit(fit).items() if m.best_fit_percent < 0 and m.noise_ratio > GOOD_MISFIT]
-
-
 def fit_tone(fit: Fit) -> doc.Tone:
     """Green where the model explains its records and those that judge it, and every constant is determined."""
-    if not fit.success or worse_than_constant(fit):
+    if not fit.success or fit.worse_than_constant:
         return doc.Tone.BAD
-    if not explains_records(fit) or _worst(judged_misfit(fit)) is None or _undetermined(fit) or _open_outputs(fit):
+    if not fit.explains_records or _worst(fit.judged_misfit) is None or _undetermined(fit) or _open_outputs(fit):
         return doc.Tone.CAUTION
-    return doc.Tone.GOOD if judges_validation(fit) else doc.Tone.PLAIN
+    return doc.Tone.GOOD if fit.judges_validation else doc.Tone.PLAIN
 
 
 def fit_notes(fit: Fit) -> list[doc.Text]:

@@ -12,12 +12,10 @@ from dataclasses import replace
 
 from greybox.base import Finding, to_line
 from greybox.base import document as doc
-from greybox.base.texts import to_lines
+from greybox.base.texts import LINE_WIDTH, to_lines, wrap
 from greybox.show.sentences.registry import sentence
 from greybox.show.sentences.wording import count_noun
 
-# Columns of a line where no terminal says how many it has.
-LINE_WIDTH = 80
 # Notes below the table, and the lines that they take: what is said of a usual result fits on a screen. All stand on the
 # page and among the details.
 MOST_NOTES, NOTE_LINES = 5, 9
@@ -92,26 +90,6 @@ def _indented(block: doc.Block, width: int) -> list[str]:
     if isinstance(block, (doc.TableBlock, doc.BulletList)):
         return block_lines(block, width)
     return [f"  {line}" for line in "\n".join(block_lines(block, width - 2)).splitlines()]
-
-
-# A number and its per cent.
-PERCENT = re.compile(r"(?<=\d) (?=%)")
-
-
-def wrap(text: str, width: int, indent: str = "") -> list[str]:
-    """Lines of at most ``width`` letters, broken between words; a word that is longer stands alone. Its own lines stay."""
-    lines: list[str] = []
-    for line in PERCENT.sub("\0", text).split("\n"):
-        lead = line[: len(line) - len(line.lstrip())]
-        lines += textwrap.wrap(
-            line.strip(),
-            width,
-            initial_indent=lead,
-            subsequent_indent=indent if len(indent) > len(lead) else f"{lead}{indent}" if lead else indent,
-            break_long_words=False,
-            break_on_hyphens=False,
-        ) or [""]
-    return [line.replace("\0", " ") for line in lines]
 
 
 # An option that a value follows.

@@ -724,9 +724,9 @@ def explain_profile(profile: Profile) -> list[str]:
     }[profile.shape]
     # At its bound there is one side to be followed.
     if profile.shape == "one_sided" and profile.best in (low, high):
-        side, other = ("lower", "upper") if profile.best == low else ("upper", "lower")
+        side, other = ("lower", "an upper") if profile.best == low else ("upper", "a lower")
         limit = wording.value_with_unit(high if profile.best == low else low, profile.unit, 5)
-        shape = f"at its {side} bound: the records set an {other} limit of {limit}".replace("an lower", "a lower")
+        shape = f"at its {side} bound: the records set {other} limit of {limit}"
     if profile.valley is not None:
         value, rise = profile.valley
         place = wording.value_with_unit(value, profile.unit, 5)
