@@ -121,7 +121,9 @@ def test_a_law_takes_the_error_of_a_plain_model_whose_run_goes_astray():
     """The brusselator without the reaction that ends it: its concentrations grow without end, and the law is the answer."""
     brusselator = next(system for system in SYSTEMS if system.name == "brusselator")
     case = run_case(brusselator, "dropped", "1")
-    assert case["right"] and case["grade"] == "established" and case["share"] > 0.98
+    assert case["right"] and case["grade"] == "established"
+    # What the law leaves of an error of many times the noise is the noise.
+    assert case["misfit"] > 50 and case["misfit"] * (1 - case["share"]) == pytest.approx(1.0, abs=0.1)
 
 
 def test_the_equation_is_claimed_at_every_depth(found):
