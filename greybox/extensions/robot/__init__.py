@@ -1,0 +1,12 @@
+"""Robots: from a description (URDF, MJCF) and a joint log to base parameters with intervals, and to what each joint lacks."""
+
+from typing import TYPE_CHECKING
+
+from greybox.base.faces import lazy_face
+
+if TYPE_CHECKING:
+    from greybox.extensions.robot.description import Joint, JointKind, Robot
+    from greybox.extensions.robot.description_files import read_robot
+    from greybox.extensions.robot.rigid_body import RigidBody
+
+__getattr__, __all__ = lazy_face(__name__)

@@ -1,0 +1,380 @@
+"""Robots read from URDF and MJCF files. Only the file itself is opened: meshes and included files are not."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from greybox.base import DataError, ModelError, nearest
+from greybox.extensions.robot.description import (
+    GRAVITY,
+    Body,
+    Follows,
+    Joint,
+    JointKind,
+    Robot,
+    build_robot,
+    from_pseudo_inertia,
+    move_inertial,
+    move_joint,
+    rotate_about,
+    to_pose,
+)
+
+# A description of a robot has less; a larger file is something else.
+MOST_BYTES = 64_000_000
+# An axis is a direction: what is shorter is a slip.
+SHORTEST_AXIS = 1e-6
+MOVING = {"revolute": JointKind.REVOLUTE, "continuous": JointKind.REVOLUTE, "prismatic": JointKind.PRISMATIC}
+
+
+class _Builder(ElementTree.TreeBuilder):
+    """Refuses document types, before an entity in one of them could grow or name a file."""
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        raise ModelError("it declares a document type (DTD), which a robot description needs not: remove it")
+
+
+def read_robot(path: str | os.PathLike[str]) -> Robot:
+    """A robot from a URDF or an MJCF file.
+
+    Parameters
+    ----------
+    path
+        The file; its root element says which kind it is. Nothing beside it is opened.
+
+    Returns
+    -------
+    Robot
+        Fixed links are lumped into what carries them; joints that mimic others are ties.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read.
+    ModelError
+        For what is no XML or no robot, and for what is not carried: floating bases, closed chains, ball and planar joints.
+    """
+    file = Path(path)
+    try:
+        if file.stat().st_size > MOST_BYTES:
+            raise ModelError(f"{file.name}: a robot description of more than {MOST_BYTES // 1_000_000} MB is not read")
+        content = file.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path}: the robot description cannot be read: {error.strerror or error}") from error
+    try:
+        root = ElementTree.fromstring(content, ElementTree.XMLParser(target=_Builder()))
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise ModelError(f"{file.name}: this is no XML: {error}") from error
+    except ModelError as error:
+        raise ModelError(f"{file.name}: {error}") from error
+    readers = {"robot": _read_urdf, "mujoco": _read_mjcf}
+    if root.tag not in readers:
+        raise ModelError(
+            f"{file.name}: its root is <{root.tag}>; a URDF has <robot>, an MJCF <mujoco>"
+            " (xacro turns its files into URDF)"
+        )
+    try:
+        return readers[root.tag](root, file)
+    except ModelError as error:
+        raise ModelError(f"{file.name}: {error}") from error
+
+
+def _numbers(element: Element | None, name: str, default: Sequence[float], owner: str = "") -> np.ndarray:
+    """Numbers of an attribute, as many as the default has. Raises ModelError."""
+    text = None if element is None else element.get(name)
+    if element is None or text is None:
+        return np.array(default, float)
+    try:
+        values = np.array([float(word) for word in text.split()])
+    except ValueError:
+        values = np.array([])
+    if len(values) != len(default) or not np.isfinite(values).all():
+        numbers = "a number" if len(default) == 1 else f"{len(default)} numbers"
+        raise ModelError(f"{owner or element.tag}: {name}={text!r} of <{element.tag}> is not {numbers}")
+    return values
+
+
+def _number(element: Element | None, name: str, default: float, owner: str = "") -> float:
+    """A number; the default, which may be infinite, where it is not stated."""
+    return default if element is None or element.get(name) is None else float(_numbers(element, name, [0], owner)[0])
+
+
+def _unit(axis: np.ndarray, owner: str) -> np.ndarray:
+    length = float(np.linalg.norm(axis))
+    if length < SHORTEST_AXIS:
+        raise ModelError(f"joint {owner!r}: its axis {axis.tolist()} has no direction")
+    return np.asarray(axis / length)
+
+
+def _at_centre(mass: float, inertia: np.ndarray, owner: str) -> np.ndarray:
+    """The ten constants of a body about its centre of mass, of its inertia (3, 3) there. Raises ModelError for a negative mass."""
+    if mass < 0:
+        raise ModelError(f"link {owner!r}: its mass {mass:g} kg is negative")
+    P = np.diag([0.0, 0.0, 0.0, mass])
+    P[:3, :3] = np.trace(inertia) / 2 * np.eye(3) - inertia
+    return from_pseudo_inertia(P)
+
+
+# URDF (wiki.ros.org/urdf/XML).
+
+
+def _read_urdf(root: Element, file: Path) -> Robot:
+    links = {_name(link): link for link in root.findall("link")}
+    if not links:
+        raise ModelError("it has no <link>: a xacro file becomes a URDF by xacro")
+    children: dict[str, list[Element]] = {}
+    moved: dict[str, str] = {}
+    for joint in root.findall("joint"):
+        name, parent, child = _name(joint), _end(joint, "parent", links), _end(joint, "child", links)
+        if child in moved:
+            raise ModelError(
+                f"link {child!r} hangs on two joints, {moved[child]!r} and {name!r}: a closed chain is not carried, only a tree"
+            )
+        moved[child] = name
+        children.setdefault(parent, []).append(joint)
+    bases = [name for name in links if name not in moved]
+    if len(bases) != 1:
+        several = (
+            f"the links {', '.join(map(repr, bases[:5]))} hang on nothing"
+            if bases
+            else "every link hangs on another one"
+        )
+        raise ModelError(f"{several}; a robot has one base")
+    bodies = [Body(bases[0], "", np.eye(3), np.zeros(3), np.zeros(10), None)]
+    # Children in the order of the file, each branch to its end.
+    open_joints = list(reversed(children.get(bases[0], [])))
+    while open_joints:
+        element = open_joints.pop()
+        bodies.append(_read_urdf_joint(element, links))
+        open_joints.extend(reversed(children.get(bodies[-1].name, [])))
+    return build_robot(root.get("name") or file.stem, bodies, GRAVITY, file.name)
+
+
+def _name(element: Element) -> str:
+    name = element.get("name")
+    if not name:
+        raise ModelError(f"a <{element.tag}> has no name")
+    return name
+
+
+def _end(joint: Element, which: str, links: dict[str, Element]) -> str:
+    element = joint.find(which)
+    name = "" if element is None else element.get("link", "")
+    if name not in links:
+        raise ModelError(
+            f"joint {_name(joint)!r}: its {which} link {name!r} is not in the file; {nearest(name, links)}"
+        )
+    return name
+
+
+def _read_urdf_joint(element: Element, links: dict[str, Element]) -> Body:
+    """A joint with its child link."""
+    name, kind, child = _name(element), element.get("type", ""), _end(element, "child", links)
+    rotation, origin = _urdf_pose(element, name)
+    parent = _end(element, "parent", links)
+    inertial = _urdf_inertial(links[child], child)
+    if kind == "fixed":
+        return Body(child, parent, rotation, origin, inertial, None)
+    if kind not in MOVING:
+        remedy = (
+            "a robot stands on a fixed base" if kind in ("floating", "planar") else nearest(kind, [*MOVING, "fixed"])
+        )
+        raise ModelError(
+            f"joint {name!r} is {kind or 'of no type'}: only revolute, continuous, prismatic and fixed joints are"
+            f" carried; {remedy}"
+        )
+    limit, dynamics, mimic = (element.find(tag) for tag in ("limit", "dynamics", "mimic"))
+    tie = None
+    if mimic is not None:
+        tie = Follows(
+            mimic.get("joint", ""), _number(mimic, "multiplier", 1.0, name), _number(mimic, "offset", 0.0, name)
+        )
+    is_turning_on = kind == "continuous"
+    joint = Joint(
+        *(name, child, MOVING[kind], -1, rotation, origin),
+        _unit(_numbers(element.find("axis"), "xyz", (1, 0, 0), name), name),
+        np.zeros(10),
+        -math.inf if is_turning_on else _number(limit, "lower", -math.inf, name),
+        math.inf if is_turning_on else _number(limit, "upper", math.inf, name),
+        # Zero stands for "not known" in many files: no joint has a limit of zero.
+        _number(limit, "velocity", math.inf, name) or math.inf,
+        _number(limit, "effort", math.inf, name) or math.inf,
+        _number(dynamics, "damping", 0.0, name),
+        _number(dynamics, "friction", 0.0, name),
+        tie=tie,
+    )
+    return Body(child, parent, rotation, origin, inertial, joint)
+
+
+def _urdf_pose(element: Element | None, owner: str) -> tuple[np.ndarray, np.ndarray]:
+    origin = None if element is None else element.find("origin")
+    roll, pitch, yaw = _numbers(origin, "rpy", (0, 0, 0), owner)
+    # Roll, pitch and yaw about the fixed axes x, y, z: R = Rz Ry Rx.
+    x, y, z = np.eye(3)
+    rotation = rotate_about(z, yaw) @ rotate_about(y, pitch) @ rotate_about(x, roll)
+    return rotation, _numbers(origin, "xyz", (0, 0, 0), owner)
+
+
+def _urdf_inertial(link: Element, name: str) -> np.ndarray:
+    element = link.find("inertial")
+    if element is None:
+        return np.zeros(10)
+    mass = _number(element.find("mass"), "value", 0.0, name)
+    xx, xy, xz, yy, yz, zz = (
+        _number(element.find("inertia"), f"i{k}", 0.0, name) for k in ("xx", "xy", "xz", "yy", "yz", "zz")
+    )
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return move_inertial(_at_centre(mass, inertia, name), to_pose(*_urdf_pose(element, name)))
+
+
+# MJCF (mujoco.readthedocs.io/en/stable/XMLreference.html).
+
+# What would drive or close a chain: none of it is a tree of joints any more.
+CLOSING = ("connect", "weld", "flex", "flexvert", "flexstrain")
+MJCF_MOVING = {"hinge": JointKind.REVOLUTE, "slide": JointKind.PRISMATIC}
+
+
+def _read_mjcf(root: Element, file: Path) -> Robot:
+    if root.find(".//include") is not None or root.find(".//attach") is not None:
+        raise ModelError(
+            "it includes other files, which are not opened; mj_saveLastXML of MuJoCo writes it as one file"
+        )
+    world = root.find("worldbody")
+    if world is None:
+        raise ModelError("it has no <worldbody>")
+    for element in (e for equality in root.findall("equality") for e in equality):
+        if element.tag in CLOSING:
+            raise ModelError(f"<equality> has a <{element.tag}>: a closed chain is not carried, only a tree")
+    bodies = list(_MjcfReader(root).read_bodies(world))
+    gravity = _numbers(root.find("option"), "gravity", GRAVITY)
+    return build_robot(root.get("model") or file.stem, bodies, gravity, file.name)
+
+
+class _MjcfReader:
+    """What the whole file says: units of angles, order of Euler angles, defaults by class, joints that follow others."""
+
+    def __init__(self, root: Element) -> None:
+        stated = {name: value for compiler in root.findall("compiler") for name, value in compiler.attrib.items()}
+        self.angle = 1.0 if stated.get("angle", "degree") == "radian" else math.pi / 180
+        self.euler = stated.get("eulerseq", "xyz")
+        # Attributes of joints by class: a class has those of the one around it, and its own.
+        self.defaults: dict[str, dict[str, str]] = {"": {}}
+        waiting: list[tuple[Element, str, dict[str, str]]] = [(default, "", {}) for default in root.findall("default")]
+        while waiting:
+            element, name, above = waiting.pop()
+            joint = element.find("joint")
+            self.defaults[name] = {**above, **({} if joint is None else joint.attrib)}
+            waiting += [(e, e.get("class", ""), self.defaults[name]) for e in element.findall("default")]
+        self.ties: dict[str, Follows] = {}
+        for joint in (e for equality in root.findall("equality") for e in equality.findall("joint")):
+            offset, factor, *higher = (joint.get("polycoef") or "0 1").split()
+            if any(float(c) for c in higher) or "joint2" not in joint.attrib:
+                raise ModelError(
+                    f"joint {joint.get('joint1')!r} follows no other one on a straight line: such an <equality> is not carried"
+                )
+            self.ties[joint.get("joint1", "")] = Follows(joint.attrib["joint2"], float(factor), float(offset))
+
+    def read_bodies(self, world: Element) -> Iterator[Body]:
+        """Every body with its joints, a parent before its children: each joint has a frame of its own, the last carries the body."""
+        waiting = [(element, "", "", False) for element in reversed(world.findall("body"))]
+        count = 0
+        while waiting:
+            element, parent, class_name, is_moved = waiting.pop()
+            # A body without a name gets one that no file gives.
+            name, count = element.get("name") or f"body #{count}", count + 1
+            class_name = element.get("childclass", class_name)
+            rotation, origin, carrier = self._rotation(element, name), _numbers(element, "pos", (0, 0, 0), name), parent
+            if element.find("freejoint") is not None:
+                raise ModelError(f"body {name!r} floats (<freejoint>): a robot stands on a fixed base")
+            for number, stated in enumerate(element.findall("joint")):
+                joint, at, zero = self._read_joint(stated, name, f"{name}.{number}", class_name)
+                # The joint turns the body about a point of it: a frame there, and back to the body's own.
+                turned, shifted = move_joint(joint, -zero)
+                yield Body(
+                    joint.link, carrier, rotation @ turned, origin + rotation @ (at + shifted), np.zeros(10), joint
+                )
+                carrier, rotation, origin, is_moved = joint.link, np.eye(3), -at, True
+            inertial = self._inertial(element, name) if is_moved else np.zeros(10)
+            yield Body(name, carrier, rotation, origin, inertial, None)
+            waiting += [(child, name, class_name, is_moved) for child in reversed(element.findall("body"))]
+
+    def _read_joint(self, element: Element, body: str, link: str, class_name: str) -> tuple[Joint, np.ndarray, float]:
+        """A joint, its place (3,) in the body, and its position where the body stands as the file draws it."""
+        class_name = element.get("class", class_name)
+        if class_name not in self.defaults:
+            raise ModelError(
+                f"body {body!r}: there is no default class {class_name!r}; {nearest(class_name, self.defaults)}"
+            )
+        element = Element("joint", {**self.defaults[class_name], **element.attrib})
+        name, kind = element.get("name") or link, element.get("type", "hinge")
+        if kind not in MJCF_MOVING:
+            raise ModelError(f"joint {name!r} is of type {kind}: only hinge and slide are carried, on a fixed base")
+        is_hinge = kind == "hinge"
+        angle = self.angle if is_hinge else 1.0
+        lower, upper = _numbers(element, "range", (-math.inf, math.inf), name) * angle
+        is_limited = element.get("limited", "auto") != "false" and lower < upper
+        joint = Joint(
+            *(name, link, MJCF_MOVING[kind], -1, np.eye(3), np.zeros(3)),
+            _unit(_numbers(element, "axis", (0, 0, 1), name), name),
+            np.zeros(10),
+            *((float(lower), float(upper)) if is_limited else (-math.inf, math.inf)),
+            effort=float(_numbers(element, "actuatorfrcrange", (-math.inf, math.inf), name)[1]),
+            damping=_number(element, "damping", 0.0, name),
+            friction=_number(element, "frictionloss", 0.0, name),
+            armature=_number(element, "armature", 0.0, name),
+            tie=self.ties.get(name),
+        )
+        return joint, _numbers(element, "pos", (0, 0, 0), name), _number(element, "ref", 0.0, name) * angle
+
+    def _inertial(self, element: Element, name: str) -> np.ndarray:
+        stated = element.find("inertial")
+        if stated is None:
+            if element.find("geom") is not None:
+                raise ModelError(
+                    f"body {name!r} has geoms and no <inertial>: its mass would come from their shapes, which are not read;"
+                    " mj_saveLastXML of MuJoCo writes it out"
+                )
+            return np.zeros(10)
+        if stated.get("fullinertia") is not None:
+            xx, yy, zz, xy, xz, yz = _numbers(stated, "fullinertia", (0, 0, 0, 0, 0, 0), name)
+            inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        else:
+            inertia = np.diag(_numbers(stated, "diaginertia", (0, 0, 0), name))
+        centre = _at_centre(_number(stated, "mass", 0.0, name), inertia, name)
+        return move_inertial(centre, to_pose(self._rotation(stated, name), _numbers(stated, "pos", (0, 0, 0), name)))
+
+    def _rotation(self, element: Element, owner: str) -> np.ndarray:
+        """Rotation (3, 3) of an element, whichever of the five ways states it."""
+        if element.get("quat") is not None:
+            quaternion = _numbers(element, "quat", (1, 0, 0, 0), owner)
+            length = float(np.linalg.norm(quaternion[1:]))
+            angle = 2 * math.atan2(length, quaternion[0])
+            return rotate_about(quaternion[1:] / length, angle) if length else np.eye(3)
+        if element.get("axisangle") is not None:
+            stated = _numbers(element, "axisangle", (0, 0, 1, 0), owner)
+            return rotate_about(_unit(stated[:3], owner), stated[3] * self.angle)
+        if element.get("xyaxes") is not None:
+            axes = _numbers(element, "xyaxes", (1, 0, 0, 0, 1, 0), owner)
+            x = _unit(axes[:3], owner)
+            # Only what is normal to x counts.
+            y = _unit(axes[3:] - (axes[3:] @ x) * x, owner)
+            return np.column_stack([x, y, np.cross(x, y)])
+        if element.get("zaxis") is not None:
+            z = _unit(_numbers(element, "zaxis", (0, 0, 1), owner), owner)
+            # The least turn that takes the vertical there.
+            axis, cosine = np.cross([0.0, 0.0, 1.0], z), z[2]
+            sine = float(np.linalg.norm(axis))
+            return rotate_about(axis / sine if sine else np.array([1.0, 0.0, 0.0]), math.atan2(sine, cosine))
+        rotation = np.eye(3)
+        # Small letters: about axes that turn along; capital ones: about those that stand still.
+        for letter, angle in zip(self.euler, _numbers(element, "euler", (0, 0, 0), owner) * self.angle, strict=True):
+            turn = rotate_about(np.eye(3)["xyz".index(letter.lower())], angle)
+            rotation = rotation @ turn if letter.islower() else turn @ rotation
+        return rotation
