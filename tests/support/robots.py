@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from greybox.extensions.robot import Robot
 
 LENGTH, CENTRES, MASSES, INERTIAS = 0.5, (0.2, 0.15), (3.0, 2.0), (0.04, 0.02)
 
@@ -64,11 +67,18 @@ CART_POLE = """<mujoco model="cart_pole">
 """
 
 
-@pytest.fixture
-def double_pendulum(tmp_path: Path) -> Path:
-    return write(tmp_path / "double_pendulum.urdf", DOUBLE_PENDULUM)
-
-
 def write(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def random_states(robot: Robot, rows: int = 100) -> np.ndarray:
+    return np.random.default_rng(1).uniform(-2, 2, (3, rows, len(robot.axes)))
+
+
+def find_description(name: str) -> Path:
+    try:
+        files = metadata.files("example-robot-data") or []
+    except metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed")
+    return next(Path(str(file.locate())) for file in files if str(file).endswith(name))

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from greybox.base.faces import lazy_face
 
 if TYPE_CHECKING:
+    from greybox.extensions.robot.base_parameters import BaseParameters, find_base_parameters
     from greybox.extensions.robot.description import Joint, JointKind, Robot
     from greybox.extensions.robot.description_files import read_robot
     from greybox.extensions.robot.rigid_body import RigidBody

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
@@ -10,9 +9,15 @@ import numpy as np
 import pytest
 
 from greybox.extensions.robot import JointKind, RigidBody, Robot, read_robot
-from tests.support.robots import CART_POLE, DOUBLE_PENDULUM, double_pendulum_torques, write
+from tests.support.robots import (
+    CART_POLE,
+    DOUBLE_PENDULUM,
+    double_pendulum_torques,
+    find_description,
+    random_states,
+    write,
+)
 
-STATES = 100
 # Arms of the collection of descriptions that Pinocchio is tested with, by their files there.
 ARMS = (
     *(
@@ -51,10 +56,6 @@ ARMS = (
 )
 
 
-def random_states(robot: Robot, rows: int = STATES) -> np.ndarray:
-    return np.random.default_rng(1).uniform(-2, 2, (3, rows, len(robot.axes)))
-
-
 def test_the_torques_of_a_double_pendulum_are_those_of_the_textbook(tmp_path: Path) -> None:
     robot = read_robot(write(tmp_path / "a.urdf", DOUBLE_PENDULUM))
     states = random_states(robot)
@@ -88,7 +89,7 @@ def test_a_follower_is_carried_by_its_leader(tmp_path: Path) -> None:
 def test_an_axis_that_is_held_is_a_part_of_what_carries_it(tmp_path: Path) -> None:
     robot = read_robot(write(tmp_path / "a.urdf", DOUBLE_PENDULUM))
     q, dq, ddq = (
-        np.column_stack([s[:, :1], np.full((STATES, 1), still)])
+        np.column_stack([s[:, :1], np.full((100, 1), still)])
         for s, still in zip(random_states(robot), (0.7, 0, 0), strict=True)
     )
     held = RigidBody(robot.lock({"elbow": 0.7})).compute_torques(q[:, :1], dq[:, :1], ddq[:, :1])
@@ -106,14 +107,6 @@ def test_torques_are_those_of_pinocchio(name: str) -> None:
     for row, torque in enumerate(torques):
         expected = torques_of_pinocchio(pinocchio, model, data, robot, q[row], dq[row], ddq[row])
         np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-12 * max(1.0, np.abs(expected).max()))
-
-
-def find_description(name: str) -> Path:
-    try:
-        files = metadata.files("example-robot-data") or []
-    except metadata.PackageNotFoundError:
-        pytest.skip("example-robot-data is not installed")
-    return next(Path(str(file.locate())) for file in files if str(file).endswith(name))
 
 
 def torques_of_pinocchio(

@@ -1,0 +1,155 @@
+"""Base parameters: the combinations of inertial constants that torques can show at all, found by rank and said in words.
+
+Of the columns of the regressor at random states a set that is independent is kept, those of inner links first; each of the others is a
+combination of them, and its constant is carried by theirs (Gautier, Khalil, IEEE Trans. Robotics and Automation 6, 1990; Gautier,
+J. Robotic Systems 8, 1991). The rank is structural: no record can show more, and a poor record shows less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from greybox.base.values import ReadOnly
+from greybox.extensions.robot.description import INERTIAL_NAMES, INERTIAL_UNITS, JointKind, Robot
+from greybox.extensions.robot.rigid_body import RigidBody
+
+# Random states give so many times more rows than there are columns.
+ROWS_PER_COLUMN = 3
+# Columns are dependent where less than this share of one is left beside the others: many files round right angles to five digits (1.5708),
+# and what such a tilt would show is below the noise of any record.
+DEPENDENT_SHARE = 3e-5
+# Share of a combination's largest number below which another is rounding.
+NEGLIGIBLE = 3e-5
+
+
+@dataclass(frozen=True, eq=False)
+class BaseParameters(ReadOnly):
+    """Which combinations ``beta = mixing @ theta`` of the inertial constants the torques of a robot depend on.
+
+    Parameters
+    ----------
+    robot
+        The robot of which they are.
+    columns
+        Numbers (B,) among all constants of those that lead the combinations: the regressor of ``beta`` has their columns.
+    mixing
+        The combinations (B, 10 L): one at its leading constant.
+    """
+
+    robot: Robot
+    columns: np.ndarray
+    mixing: np.ndarray
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The leading constant of each with the number of its joint; ``+`` where others are carried with it."""
+        return tuple(name_constant(c) for c in self.columns)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The unit of each."""
+        return tuple(INERTIAL_UNITS[c % 10] for c in self.columns)
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """Of the description (B,)."""
+        return np.asarray(self.mixing @ self.robot.inertial)
+
+    def describe(self, k: int) -> str:
+        """One of them as a formula: ``Izz1 + 0.18 (m2 + m3)``."""
+        row = self.mixing[k]
+        terms: dict[float, list[str]] = {}
+        for column in np.flatnonzero(row):
+            # Constants with the same factor stand in one bracket.
+            terms.setdefault(float(f"{row[column]:.3g}"), []).append(name_constant(int(column)))
+        lead = name_constant(self.columns[k])
+        first = [lead, *(name for name in terms.pop(1.0) if name != lead)]
+        text = " + ".join(first)
+        for factor, names in terms.items():
+            bracket = names[0] if len(names) == 1 else f"({' + '.join(names)})"
+            size = "" if abs(factor) == 1 else f"{abs(factor):g} "
+            text += f" {'-' if factor < 0 else '+'} {size}{bracket}"
+        return text
+
+    def lift(self, beta: np.ndarray) -> np.ndarray:
+        """Constants (10 L,) that give the combinations ``beta`` (B,), the description's where these leave a choice.
+
+        The torques are right; a link by itself may have constants that no body has.
+        """
+        theta = self.robot.inertial.copy()
+        theta[self.columns] += beta - self.values
+        return theta
+
+
+def name_constant(column: int) -> str:
+    """``Izz2``: which constant of the link behind which joint, counted from 1."""
+    return f"{INERTIAL_NAMES[column % 10]}{column // 10 + 1}"
+
+
+def find_base_parameters(robot: Robot) -> BaseParameters:
+    """The base parameters of a robot, exact and without a record.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+
+    Returns
+    -------
+    BaseParameters
+        As many as the rank of its regressor.
+    """
+    order = _rank_constants(robot)
+    n = len(robot.axes)
+    generator = np.random.default_rng(0)
+    q, dq, ddq = generator.uniform(-np.pi, np.pi, (3, -(-ROWS_PER_COLUMN * len(order) // n) + 1, n))
+    regressor = RigidBody(robot).compute_regressors(q, dq, ddq).reshape(-1, len(order))
+    independent, factors = split_columns(regressor[:, order])
+    columns = np.array(order)[independent]
+    mixing = np.zeros((len(columns), len(order)))
+    mixing[:, np.array(order)] = factors
+    by_place = np.argsort(columns)
+    return BaseParameters(robot, columns[by_place], mixing[by_place])
+
+
+def split_columns(matrix: np.ndarray) -> tuple[list[int], np.ndarray]:
+    """Independent columns of a matrix (N, K), the first possible ones, and all columns as combinations of them (B, K)."""
+    lengths = np.linalg.norm(matrix, axis=0)
+    scaled = matrix / np.where(lengths > NEGLIGIBLE * lengths.max(), lengths, np.inf)
+    basis = np.zeros((len(matrix), 0))
+    independent: list[int] = []
+    for k, column in enumerate(scaled.T):
+        # Twice is enough to be orthogonal to the last digit (Kahan).
+        for _ in range(2):
+            column = column - basis @ (basis.T @ column)
+        if np.linalg.norm(column) > DEPENDENT_SHARE:
+            independent.append(k)
+            basis = np.column_stack([basis, column / np.linalg.norm(column)])
+    triangle = basis.T @ matrix
+    factors = solve_triangular(triangle[:, independent], triangle)
+    factors[np.abs(factors) < NEGLIGIBLE * np.abs(factors).max(axis=1, keepdims=True)] = 0.0
+    return independent, factors
+
+
+def _rank_constants(robot: Robot) -> list[int]:
+    """All constants, those first that shall lead: inner links before outer ones, and of a link those that its own joint shows."""
+    order = []
+    for k, joint in enumerate(robot.joints):
+        along, *across = np.argsort(-np.abs(joint.axis), kind="stable").tolist()
+        first, second = sorted(across)
+        diagonal = [f"I{a}{a}" for a in "xyz"]
+        moments = [f"m{a}" for a in "xyz"]
+        # As in Khalil's tables: the second moment across, the first moment along the axis and the mass are carried by others.
+        names: Sequence[str] = (
+            *(diagonal[along], "Ixy", "Ixz", "Iyz", diagonal[first], moments[first], moments[second]),
+            *(moments[along], diagonal[second], "m"),
+        )
+        if joint.kind is JointKind.PRISMATIC:
+            names = ("m", *(name for name in names if name != "m"))
+        order += [10 * k + INERTIAL_NAMES.index(name) for name in names]
+    return order
