@@ -193,11 +193,9 @@ def public_names() -> str:
     lines = ["## greybox", "", "The verbs and values of the first week.", ""]
     for module, names in greybox._NAMES.items():
         lines += [line for name in names for line in _entry(f"greybox.{module}", name)]
-    listed, places = set(greybox.__all__), set()
-    for namespace, place in greybox._NAMESPACES.items():
-        if place in places:  # another name of a namespace that stands above
-            continue
-        places.add(place)
+    listed = set(greybox.__all__)
+    # `gb.design` is the verb, so that its package has its place's name alone.
+    for namespace, place in (*greybox._NAMESPACES.items(), ("extensions.design", "extensions.design")):
         module = importlib.import_module(f"greybox.{place}")
         doc = inspect.getdoc(module) or ""
         names = list(getattr(module, "__all__", ())) or _defined_in(module)
@@ -348,7 +346,7 @@ GENERATED: dict[str, Callable[[], str]] = {
 
 def rewrite_catalogue() -> None:
     """Write docs/catalogue.md and docs/roles.md anew from the catalogue: ``python docs/hooks.py``."""
-    from greybox.effects import CATALOGUE, ROLES
+    from greybox.model.effects import CATALOGUE, ROLES
     from greybox.show.sentences.model import write_catalogue_page, write_roles_page
 
     (FOLDER / "roles.md").write_text(write_roles_page(ROLES), encoding="utf-8")

@@ -34,6 +34,7 @@ from greybox.base.files import write_file
 from greybox.data.signals import SignalLimit
 from greybox.extensions.design.campaign import CampaignPlan, run_campaign
 from greybox.extensions.design.inputs import LimitKeeper, Prbs, Steps, fit_into_limits
+from greybox.extensions.design.next_record import answer as answer_question
 from greybox.extensions.design.next_record import fit_rival
 from greybox.extensions.design.plant import list_plants
 from greybox.extensions.design.problem import DesignProblem, GoalName
@@ -155,7 +156,7 @@ def study_pair(seed: int) -> dict[str, Any]:
                 models, limits, 0.15, period, noise, tuple(records), GoalName.DISCRIMINATION, options=REST
             )
             if way == "designed":
-                u = gb.experiment_design.answer(question).experiment.inputs["u"]
+                u = answer_question(question).experiment.inputs["u"]
             else:
                 hold = 0.004 / number
                 levels = np.random.default_rng([seed, number]).uniform(-1, 1, round(question.duration / hold))

@@ -4,7 +4,7 @@ The verbs of the first week stand here: `read_csv`, `simulate`, `fit`, `validate
 `detect_changes`, `linearise`, `report`, `design`. A model is a list of named balances; ``model + effect`` is a new model.
 
 Everything else is in a namespace: ``gb.signals`` (test signals), ``gb.effects`` (the catalogue), ``gb.blackbox``, ``gb.discovery``,
-``gb.experiment_design``, ``gb.identifiability``, ``gb.uncertainty`` (profile likelihood, bootstrap), ``gb.residuals``,
+``gb.changes``, ``gb.identifiability``, ``gb.uncertainty`` (profile likelihood, bootstrap), ``gb.residuals``,
 ``gb.export``, ``gb.fleet`` (many records), ``gb.frequency`` (frequency responses), ``gb.fmu``, ``gb.errors``.
 """
 
@@ -14,8 +14,6 @@ import os
 import sys
 import warnings
 from importlib import import_module
-from importlib.machinery import ModuleSpec
-from types import ModuleType
 
 TYPE_CHECKING = False  # as type checkers read it; importing typing takes longer than all the rest
 if TYPE_CHECKING:
@@ -38,9 +36,7 @@ if TYPE_CHECKING:
     from greybox.estimation.residuals import residual_tests
     from greybox.estimation.result import Fit, load_fit
     from greybox.estimation.validate import validate
-    from greybox.extensions import changes as change_detection
-    from greybox.extensions import design as experiment_design
-    from greybox.extensions import export, fleet, fmu
+    from greybox.extensions import changes, export, fleet, fmu
     from greybox.extensions.changes.detect import detect_changes
     from greybox.extensions.design.next_record import design
     from greybox.extensions.fleet.batch import fit_each
@@ -54,13 +50,9 @@ if TYPE_CHECKING:
     from greybox.show.describe import report
     from greybox.simulation.simulate import simulate
 
-    from greybox import comparison, discovery, estimation, simulation  # isort: skip
-    from greybox import data as experiment  # isort: skip
-    from greybox import estimation as result  # isort: skip
+    from greybox import comparison, data, discovery, estimation, simulation  # isort: skip
     from greybox.comparison import blackbox, frequency  # isort: skip
     from greybox.estimation import identifiability, residuals, uncertainty  # isort: skip
-    from greybox.show import figures as plots  # isort: skip
-    from greybox.show import sentences as rendering  # isort: skip
 
 # Where each name lives. Loaded when first asked for: stating a model should not load a solver.
 _NAMES = {
@@ -89,27 +81,22 @@ _NAMES = {
     "simulation.simulate": ("simulate",),
 }
 _HOME = {name: f"greybox.{module}" for module, names in _NAMES.items() for name in names}
-# The namespaces that users know, and the packages that they are. Both `gb.signals` and `from greybox.signals import chirp` work.
+# The namespaces that users know, and the packages that they are: `gb.signals.chirp`.
 _NAMESPACES = {
     "blackbox": "comparison.blackbox",
-    "change_detection": "extensions.changes",
+    "changes": "extensions.changes",
     "comparison": "comparison",
+    "data": "data",
     "discovery": "discovery",
     "effects": "model.effects",
     "errors": "base.errors",
     "estimation": "estimation",
-    "experiment": "data",
-    "experiment_design": "extensions.design",
     "export": "extensions.export",
     "fleet": "extensions.fleet",
     "fmu": "extensions.fmu",
     "frequency": "comparison.frequency",
     "identifiability": "estimation.identifiability",
-    "plots": "show.figures",
-    "project": "shell.project",
-    "rendering": "show.sentences",
     "residuals": "estimation.residuals",
-    "result": "estimation",
     "signals": "data.signals",
     "simulation": "simulation",
     "uncertainty": "estimation.uncertainty",
@@ -132,9 +119,10 @@ __all__ = [
     "SignalLimit",
     "State",
     "blackbox",
-    "change_detection",
+    "changes",
     "compare",
     "comparison",
+    "data",
     "design",
     "detect_changes",
     "discover",
@@ -143,8 +131,6 @@ __all__ = [
     "effects",
     "errors",
     "estimation",
-    "experiment",
-    "experiment_design",
     "export",
     "fit",
     "fit_each",
@@ -155,15 +141,12 @@ __all__ = [
     "linearise",
     "load_fit",
     "multistart",
-    "plots",
     "predict",
     "read_csv",
     "read_experiments",
-    "rendering",
     "report",
     "residual_tests",
     "residuals",
-    "result",
     "signals",
     "simulate",
     "simulation",
@@ -185,28 +168,6 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
-
-
-class _Namespaces:
-    """``from greybox.signals import chirp`` imports from the module that ``gb.signals`` is, not from a copy of it."""
-
-    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
-        return ModuleSpec(name, self) if self._home(name) != name else None  # type: ignore[arg-type]
-
-    def create_module(self, spec: ModuleSpec) -> None:
-        """A module as usual, for `exec_module` to put the real one in its place."""
-
-    def exec_module(self, module: ModuleType) -> None:
-        sys.modules[module.__name__] = import_module(self._home(module.__name__))
-
-    @staticmethod
-    def _home(name: str) -> str:
-        package, _, rest = name.partition(".")
-        space, dot, below = rest.partition(".")
-        return f"{package}.{_NAMESPACES[space]}{dot}{below}" if package == "greybox" and space in _NAMESPACES else name
-
-
-sys.meta_path.insert(0, _Namespaces())
 
 
 def _warn_of_namesake() -> None:

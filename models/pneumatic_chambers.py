@@ -18,7 +18,7 @@ import math
 import casadi as ca
 
 from greybox import Parameter
-from greybox.errors import ModelError, nearest
+from greybox.base.errors import ModelError, nearest
 from greybox.model import Rule
 from greybox.model.signals import Expression, NamedValues
 from models.pneumatic_parts import STROKE, Chambers, Flows, Terms, half_supply

@@ -18,7 +18,7 @@ Source: Linear ARX modelling of pneumatic actuator system (book chapter 10), equ
 import casadi as ca
 
 from greybox import Balance, Parameter, State
-from greybox.errors import ModelError, nearest
+from greybox.base.errors import ModelError, nearest
 from greybox.model import Rule
 from greybox.model.signals import Expression, NamedValues
 from models.pneumatic_parts import Terms, Valve

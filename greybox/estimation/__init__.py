@@ -1,7 +1,7 @@
 """Fitting a model's parameters to records.
 
 `fit` makes an `EstimationProblem` of model, records and noise; `solve` chooses a transcription and minimises; the `Solution` is fitted
-again where the residual shows more of the noise, and becomes a `greybox.result.Fit` with covariance, tests and findings.
+again where the residual shows more of the noise, and becomes a `greybox.estimation.result.Fit` with covariance, tests and findings.
 """
 
 from greybox.estimation.fit import fit

@@ -1,7 +1,7 @@
 """Where an estimation ended: runs, residuals with their slopes, covariance and tests, each computed once; or restored from a fit.
 
 `SimulationOptimum` is the end of an estimation by simulation error, `PredictionOptimum` of one by prediction error. `assemble_fit` makes
-a `greybox.result.Fit` of either.
+a `greybox.estimation.result.Fit` of either.
 """
 
 from __future__ import annotations

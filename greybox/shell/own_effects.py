@@ -128,7 +128,7 @@ def _write_module(name: str, laws: list[Mapping[str, Any]], source: str) -> str:
         '"""' + escape_line(f"{name}: a law kept from {source}.") + '"""',
         "",
         "from greybox import Parameter",
-        "from greybox.effects import formula_effect",
+        "from greybox.model.effects import formula_effect",
     ]
     try:
         for k, law in enumerate(laws):

@@ -7,9 +7,9 @@ import pytest
 
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State, fit, load_fit
 from greybox.base import DataError
-from greybox.effects import effect
 from greybox.estimation.result import ResultCode
 from greybox.model.definition import compare_definition, declare
+from greybox.model.effects import effect
 from greybox.model.equations import equations_text
 
 

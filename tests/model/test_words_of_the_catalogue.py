@@ -6,9 +6,9 @@ import pytest
 
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base import ModelError
-from greybox.effects import effect
 from greybox.estimation.identifiability.structural import add_sensors, find_unmeasured_states
 from greybox.model import equations_text
+from greybox.model.effects import effect
 from greybox.model.sites import NEEDED
 
 

@@ -84,7 +84,7 @@ VERBS = '''
 import dataclasses, json, sys
 import greybox as gb
 import numpy as np
-from greybox.uncertainty import bootstrap, profile
+from greybox.estimation.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
 

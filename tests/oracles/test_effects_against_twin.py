@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-import greybox.effects
+import greybox.model.effects
 from fits import rig_twins
 from greybox.data.experiment import Experiment
 from greybox.data.read import read_csv

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib
 import inspect
 import re
 from collections import Counter
@@ -157,7 +156,7 @@ def called_by_users() -> dict[str, object]:
     )
     names = {name: getattr(greybox, name) for name in greybox.__all__}
     for space in spaces:
-        module = importlib.import_module(f"greybox.{space}")
+        module = getattr(greybox, space)
         public = getattr(module, "__all__", None) or [n for n in vars(module) if not n.startswith("_")]
         names |= {f"{space}.{name}": getattr(module, name) for name in public}
     return {name: value for name, value in names.items() if inspect.isfunction(value)}

@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox.data.experiment import Experiment
 from greybox.estimation.fit import fit
-from greybox.uncertainty import profile
+from greybox.estimation.uncertainty import profile
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import linear_matrices, linear_record, multisine

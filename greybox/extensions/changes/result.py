@@ -312,6 +312,6 @@ def load_changes(path: str | Path) -> dict[str, Any]:
 
     Examples
     --------
-    >>> gb.change_detection.load_changes("results/changed.json")["verdict"]  # doctest: +SKIP
+    >>> gb.changes.load_changes("results/changed.json")["verdict"]  # doctest: +SKIP
     """
     return read_json(path, ChangeDetection)

@@ -81,7 +81,7 @@ def survey_population(reference: Fit, machines: Mapping[str, Sequence[Experiment
 
     Examples
     --------
-    >>> gb.change_detection.survey_population(fit, {"A": [a], "B": [b], "C": [c], "D": [d]}).machines  # doctest: +SKIP
+    >>> gb.changes.survey_population(fit, {"A": [a], "B": [b], "C": [c], "D": [d]}).machines  # doctest: +SKIP
     """
     began = time.perf_counter()
     detect.check_reference(reference)
@@ -308,7 +308,7 @@ def chart_changes(reference: Fit, records: Sequence[Experiment]) -> ChangeDetect
 
     Examples
     --------
-    >>> gb.change_detection.chart_changes(fit, days).change_points[0].record  # doctest: +SKIP
+    >>> gb.changes.chart_changes(fit, days).change_points[0].record  # doctest: +SKIP
     'day 12'
     """
     began = time.perf_counter()

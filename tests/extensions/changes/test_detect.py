@@ -89,7 +89,7 @@ def test_what_is_written_is_as_the_schema_says(reference, tmp_path) -> None:
     change = gb.detect_changes(reference, measure(2, d=46.0))
     saved = change.save(tmp_path / "changed.json")
     assert strict_offences(json.loads(saved.read_text()), ChangeDetection) == []
-    assert gb.change_detection.load_changes(saved)["constants"]["d"]["moved"] is True
+    assert gb.changes.load_changes(saved)["constants"]["d"]["moved"] is True
 
 
 def test_a_record_of_the_fit_is_no_record_of_today(reference) -> None:

@@ -143,7 +143,7 @@ def test_a_piece_is_fitted_from_the_constants_of_the_whole_alone(monkeypatch) ->
 def test_what_it_writes_is_read_back_and_refitted_to_the_same_constants(tmp_path) -> None:
     reference = gb.fit(coasting(), coast(1), options=QUICK)
     changes = gb.detect_changes(reference, coast(3, share=1.2), search_effects=False)
-    written = gb.change_detection.load_changes(changes.save(tmp_path / "changed.json"))
+    written = gb.changes.load_changes(changes.save(tmp_path / "changed.json"))
     # Over the rows that both runs have, as they were compared.
     ((before, after),) = match_repeats([coast(1)], [coast(3, share=1.2)]).pairs
     estimates = [gb.fit(coasting(), record, options=QUICK).parameters["b"].value for record in (before, after)]

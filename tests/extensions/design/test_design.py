@@ -45,7 +45,7 @@ LIMITS = {"u": SignalLimit(-2, 2, rate=20.0), "x": SignalLimit(-0.15, 0.15), "v"
 
 
 @pytest.fixture(scope="module")
-def plan() -> gb.experiment_design.Design:
+def plan() -> Design:
     return gb.design(PLANT, limits=LIMITS, **ASKED)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-import greybox.effects
+import greybox.model.effects
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.estimation.check import check
 from greybox.model.effects.catalogue import CATALOGUE
@@ -24,7 +24,7 @@ OWNERS = {"x": RoleOwner.STATE, "u": RoleOwner.INPUT, "p": RoleOwner.PARAMETER}
 
 def asked_for() -> set[tuple[str, str]]:
     """``(x, u or p; name)`` of everything that functions of effects speak of."""
-    folder = Path(greybox.effects.__file__).parent
+    folder = Path(greybox.model.effects.__file__).parent
     trees = [ast.parse(path.read_text(encoding="utf-8")) for path in folder.glob("*.py") if path.stem != "scales"]
     nodes = [node for tree in trees for node in ast.walk(tree)]
     return {

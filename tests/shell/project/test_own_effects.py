@@ -20,7 +20,7 @@ from tests.support.hostile import CODE, MARKUP
 from tests.support.kept_law import LAW
 
 OWN = """from greybox import Parameter
-from greybox.effects import formula_effect
+from greybox.model.effects import formula_effect
 
 drag = formula_effect("drag", "force", "k*abs(v)*v", [Parameter("k", "N*s^2/m^2", -0.3)])
 """
