@@ -395,9 +395,9 @@ def _name_of(name: str, items: Sequence[ParameterSymbol] | Sequence[State]) -> s
 def _units_by_word(statement: Statement, balances: Iterable[Balance]) -> dict[str, str]:
     """What the words in the units of an effect stand for: roles, names, balances, ``sensor`` and ``input``."""
     items: tuple[Item, ...] = (*statement.states, *statement.inputs, *statement.parameters)
-    words = {item.role: item.unit for item in reversed(items) if item.role}
-    words |= {item.name: item.unit for item in items}
-    words |= {b.name: b.unit for b in balances}
+    words = {b.name: b.unit for b in balances} | {item.name: item.unit for item in items}
+    # An effect asks for a role; a balance that happens to be called "pressure" does not take its place.
+    words |= {item.role: item.unit for item in reversed(items) if item.role}
     words["sensor"] = statement.outputs[0].unit
     if statement.inputs:
         words["input"] = statement.inputs[0].unit

@@ -124,7 +124,7 @@ def list_sites(
             units[role] = state.unit
         if role in STORE_ROLES:
             roles[STORE] = state.name
-            units[STORE] = state.unit
+            units[STORE] = units[role] = state.unit
         if b in moving:
             displacement = _find_displacement(state, balances) or _by_role("displacement", states, len(moving) == 1)
             roles |= {"velocity": state.name, "displacement": displacement}

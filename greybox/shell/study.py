@@ -270,8 +270,8 @@ class Study:
     kept_result = Option(kinds.File(), "--result FILE", "", "With keep: the discovery.json. [default: the newest in results/]")
     directory = Option(kinds.File(), "DIR", "", "Folder for the project; created if it does not exist.", required=True)
     plant = Option(kinds.Word(), "--plant NAME", "",
-        "Start from one plant with a simulated twin and a study file: circuit, cylinder, rotary-drive, stage, tanks, "
-        "thermal or two-mass.")
+        "Start from one plant with a simulated twin and a study file: chamber, circuit, cylinder, rotary-drive, stage, "
+        "tank-chain, tanks, thermal or two-mass.")
     force = Option(kinds.Switch(), "--force", "", "Overwrite existing files.")
     json_command = Option(kinds.Word(), "COMMAND", "", "The command: fit, discover, changed, check ...", completion.commands, required=True)
     opened = Option(kinds.Switch(), "--open", "", "Open the report in the browser at the end.")

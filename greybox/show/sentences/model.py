@@ -109,7 +109,7 @@ chain](tutorial_pneumatic.md) and the cascaded tanks have them. What an effect n
 
 `greybox init DIR --plant NAME` writes a model with all roles: `rotary-drive` (velocity, current, resistance, inductance),
 `two-mass` (two bodies on a shaft), `stage` (displacement and velocity), `cylinder` (pressure and valve), `thermal` (temperature
-and ambient temperature), `tanks` (levels), `circuit` (current, inductance).
+and ambient temperature), `tanks` and `tank-chain` (levels), `chamber` (pressure of a vessel), `circuit` (current, inductance).
 """
 
 

@@ -5,9 +5,12 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+import greybox as gb
 import greybox.model.effects
 from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.base.units import parse_unit
 from greybox.estimation.check import check
 from greybox.model.effects.catalogue import CATALOGUE
 from greybox.model.effects.placement import find_placements
@@ -114,3 +117,18 @@ def test_units_tell_a_temperature_and_its_scales() -> None:
     radiation = placements["radiation_loss"].effect
     assert radiation is not None and radiation.probe is not None and radiation.grid is not None
     assert radiation.probe(scales)["kr"] > 0 and radiation.grid(scales)["T0"] == [273.15]
+
+
+@pytest.mark.parametrize("name", ["pressure", "store", "chamber"])
+def test_a_balance_called_like_a_role_does_not_take_its_unit(name: str) -> None:
+    vessel = Model(
+        "vessel",
+        states=[State("p", "Pa", 1e5, role="pressure")],
+        inputs=[Input("m", "kg/s")],
+        outputs=[Output("p", "Pa")],
+        parameters=[Parameter("C", "kg/Pa", 1e-9)],
+        balances=lambda x, u, p: [Balance(name, "kg/s", p.C, "p", feed=u.m)],
+    )
+    units = {q.name: q.unit for q in (vessel + gb.effect("root_leak")).bound_effects[-1].parameters}
+    assert units["laminar"] == "Pa"
+    assert parse_unit(units["c"]) == parse_unit("kg/s/Pa^0.5")

@@ -15,10 +15,12 @@ from greybox.shell.commands import app
 from greybox.shell.template import plant_names, write_project
 
 HIDDEN = {
+    "chamber": "transport_delay",
     "circuit": "input_saturation",
     "cylinder": "valve_dead_zone",
     "rotary-drive": "coulomb_friction",
     "stage": "cubic_stiffness",
+    "tank-chain": "linear_leak_at_tank_3",
     "tanks": "input_dead_zone",
     "thermal": "input_saturation",
     "two-mass": "coulomb_friction",
