@@ -122,7 +122,7 @@ def run_demo(
     report
         Called with the number of refits of the discovery that are done.
     pictures
-        Also write figures as PNG and SVG.
+        Also write figures as PNG, SVG and PDF.
     """
     began, folder = time.perf_counter(), Path(directory)
     tell = say or (lambda _: None)

@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.base import ExitCode, FitError
+from greybox.base import ExitCode, FitError, write_file
 from greybox.base.interrupts import hold_interrupts
 from greybox.shell import inputs
 from greybox.shell.progress import report_starts, show_fit_progress, show_progress
@@ -292,10 +292,12 @@ def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict
 
 
 def _draw_pictures(result: Fit, tests: ResidualTests | None, folder: Path, skip: int) -> list[Path]:
+    from greybox.show.documents.tables import parameters_latex
     from greybox.show.figures.pictures import draw_fit, draw_residual_tests
 
     figures = draw_fit(result, folder, skip=skip)
-    return figures + (draw_residual_tests(tests, folder, title=result.model.title) if tests else [])
+    figures += draw_residual_tests(tests, folder, title=result.model.title) if tests else []
+    return [*figures, write_file(folder / "constants.tex", parameters_latex(result))]
 
 
 FIT = Command(

@@ -260,7 +260,8 @@ class Study:
     silent = Option(kinds.Switch(), "--quiet-output -q", "", "Print nothing but errors.")
     json = Option(kinds.Switch(), "--json", "", "Print the result as JSON instead of text.")
     details = Option(kinds.Switch(), "--details", "", "Print all that is known of the result, and not its answer alone.")
-    figures = Option(kinds.Switch(), "--figures", "", "Also write the figures of the report as PNG and SVG.")
+    figures = Option(kinds.Switch(), "--figures", "",
+        "Also write the figures of the report as PNG, SVG and PDF, and the constants of a fit as a LaTeX table.")
     no_report = Option(kinds.Switch(), "--no-report", "", "Do not write report.html.")
     # Commands around the project.
     some_model = Option(kinds.ModelName(), "MODEL", "",

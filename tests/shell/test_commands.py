@@ -50,8 +50,8 @@ def everything(folder: Path) -> list[str]:
 
 
 def drawn(*names: str) -> list[str]:
-    """Every figure is there twice."""
-    return [f"{name}.{kind}" for name in names for kind in ("png", "svg")]
+    """Every figure is there three times."""
+    return [f"{name}.{kind}" for name in names for kind in ("png", "svg", "pdf")]
 
 
 def test_a_fit_prints_saves_and_draws(run: Run, data: Path, tmp_path: Path) -> None:
@@ -76,9 +76,9 @@ def test_a_fit_prints_saves_and_draws(run: Run, data: Path, tmp_path: Path) -> N
     assert "M dv/dt = Kf i" not in result.stdout
     folder = tmp_path / "results" / "micro_actuator-fit"
     figures = ["fit-train", "residual-i", "residual-x", "validation-test"]
-    assert everything(folder) == sorted(["fit.json", "report.html", *drawn(*figures)])
+    assert everything(folder) == sorted(["constants.tex", "fit.json", "report.html", *drawn(*figures)])
     files = {Path(file).name for file in result.stdout.partition("files: ")[2].replace(",", "").split()}
-    assert files == {name for name in everything(folder) if not name.endswith(".svg")}
+    assert files == {name for name in everything(folder) if not name.endswith((".svg", ".pdf"))}
     saved = json.loads((folder / "fit.json").read_text())
     assert saved["model"] == "micro_actuator"
     assert saved["status"] == "converged"
@@ -119,7 +119,7 @@ def test_quiet_means_silent(run: Run, data: Path, tmp_path: Path) -> None:
     )
     assert (result.exit_code, result.output) == (0, "")
     figures = drawn("out/fit-train", "out/residual-i", "out/residual-x")
-    assert everything(tmp_path) == sorted(["out", "out/fit.json", *figures])
+    assert everything(tmp_path) == sorted(["out", "out/constants.tex", "out/fit.json", *figures])
 
 
 def test_notes_of_the_records_go_to_stderr_once(run: Run, data: Path, tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def test_an_output_that_only_a_validation_record_has_is_drawn(run: Run, data: Pa
     result = run("fit", "micro_actuator", "x.csv", *KNOWN, "--fix", "Kf", *judge, "--figures", "--output", "out")
     assert result.exit_code == 0, result.output
     figures = drawn("fit-x", "residual-x", "validation-test")
-    assert everything(tmp_path / "out") == sorted(["fit.json", "report.html", *figures])
+    assert everything(tmp_path / "out") == sorted(["constants.tex", "fit.json", "report.html", *figures])
 
 
 def test_a_free_decay_is_fitted_when_it_is_said_to_be_one(run: Run, tmp_path: Path) -> None:

@@ -82,6 +82,54 @@ def estimate_cells(name: str, e: Estimate) -> list[str]:
     return [name, format_with_std(e.value, e.std), f"[{low}, {high}]", format_unit(e.unit), remark]
 
 
+# Powers of ten between which a number of a LaTeX table stands without one.
+PLAIN_POWERS = range(-2, 5)
+# Significant digits of a standard deviation, and of a value that has none.
+STD_DIGITS, VALUE_DIGITS = 2, 4
+
+
+def parameters_latex(fit: Fit) -> str:
+    r"""The constants of a fit as a table for a paper, in LaTeX with the rules of the package ``booktabs``.
+
+    Parameters
+    ----------
+    fit
+        The result of `greybox.fit`.
+
+    Returns
+    -------
+    str
+        Symbol, value with its standard deviation, 95 % interval and unit of each constant, one a row; known ones say so.
+    """
+    rows = [*fit.parameters.items(), *fit.constraints.tied.items()]
+    lines = [rf"  ${symbol_latex(name)}$ & {' & '.join(_latex_cells(e))} \\" for name, e in rows]
+    head = r"  constant & value & 95\,\% interval & unit \\"
+    begin, end = r"\begin{tabular}{llll}", r"\end{tabular}"
+    return "\n".join([begin, r"  \toprule", head, r"  \midrule", *lines, r"  \bottomrule", end, ""])
+
+
+def _latex_cells(e: Estimate) -> list[str]:
+    power = math.floor(math.log10(abs(e.value))) if e.value else 0
+    power = 0 if power in PLAIN_POWERS else power
+    times = rf" \times 10^{{{power}}}" if power else ""
+    # A number shows the digits of its standard deviation, and no fewer than two of its own.
+    shown = e.std if e.std and not e.fixed else abs(e.value) * 10.0 ** (STD_DIGITS - VALUE_DIGITS) or 1.0
+    digits = max(0, STD_DIGITS - 1 - math.floor(math.log10(shown / 10.0**power)))
+
+    def scaled(number: float) -> str:
+        return f"{number / 10.0**power:.{digits}f}" if math.isfinite(number) else rf"{'-' * (number < 0)}\infty"
+
+    if e.fixed:
+        interval, value = "known", f"{e.value / 10.0**power:.{VALUE_DIGITS}g}"
+    else:
+        value = scaled(e.value) if e.std is None else rf"{scaled(e.value)} \pm {scaled(e.std)}"
+        value = f"({value})" if power and e.std is not None else value
+        interval = "" if e.interval is None else rf"$[{', '.join(map(scaled, e.interval))}]{times}$"
+    # kg*m^2/s reads kg m^2/s, upright.
+    unit = re.sub(r"\^(-?[\d.]+)", r"^{\1}", format_unit(e.unit)).replace("*", r"\,").replace("%", r"\%")
+    return [f"${value}{times}$", interval, rf"$\mathrm{{{unit}}}$" if unit else ""]
+
+
 def misfit_table(caption: doc.Text, misfit: Mapping[str, Misfit], corner: str = "") -> doc.TableBlock:
     """Misfits by output."""
     rows = [[name, *misfit_cells(m)] for name, m in misfit.items()]

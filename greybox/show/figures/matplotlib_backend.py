@@ -46,16 +46,19 @@ MARGIN = 0.01
 
 
 def save_sheet(sheet: Sheet, png: Path) -> None:
-    """Write a sheet as ``png`` and, with the same name, as SVG; equal sheets give equal files."""
+    """Write a sheet as ``png`` and, with the same name, as SVG and PDF; equal sheets give equal files."""
     picture = draw_sheet(sheet)
     engine = picture.get_layout_engine()
-    if engine is not None:  # once for both files
+    if engine is not None:  # once for all files
         engine.execute(picture)
         picture.set_layout_engine(None)
     compression = {"compress_level": COMPRESSION}
     write_file(png, lambda file: picture.savefig(file, format="png", dpi=DOTS_PER_INCH, pil_kwargs=compression))
     with rc_context({"svg.hashsalt": "greybox"}):
         write_file(png.with_suffix(".svg"), lambda file: picture.savefig(file, format="svg", metadata={"Date": None}))
+    write_file(
+        png.with_suffix(".pdf"), lambda file: picture.savefig(file, format="pdf", metadata={"CreationDate": None})
+    )
 
 
 def draw_sheet(sheet: Sheet) -> Picture:

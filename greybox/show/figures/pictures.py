@@ -1,4 +1,4 @@
-"""Results as picture files: which panels stand on one sheet, and the functions that write the sheets as PNG and SVG."""
+"""Results as picture files: which panels stand on one sheet, and the functions that write the sheets as PNG, SVG and PDF."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def draw_fit(fit: Fit, directory: str | Path, *, skip: int = 0) -> list[Path]:
     fit
         The result of `greybox.fit`.
     directory
-        Where ``fit-<record>.png`` and ``validation-<record>.png`` are written, each with an SVG beside it.
+        Where ``fit-<record>.png`` and ``validation-<record>.png`` are written, each with an SVG and a PDF beside it.
     skip
         Rows at the start of validation records that do not count in the misfit above the panels.
 
@@ -49,7 +49,7 @@ def draw_fit(fit: Fit, directory: str | Path, *, skip: int = 0) -> list[Path]:
 
 
 def draw_residual_tests(tests: ResidualTests, directory: str | Path, *, title: str = "") -> list[Path]:
-    """Draw the tests of each output as ``residual-<output>.png``, each with an SVG beside it; returns the PNG files.
+    """Draw the tests of each output as ``residual-<output>.png``, each with an SVG and a PDF beside it; returns the PNG files.
 
     ``title`` stands above, as a rule the name of the model. The panels are those of `plot_residual_tests`.
     """
@@ -57,7 +57,7 @@ def draw_residual_tests(tests: ResidualTests, directory: str | Path, *, title: s
 
 
 def draw_comparison(comparison: Comparison, directory: str | Path) -> list[Path]:
-    """Draw each judging record as ``comparison-<record>.png``, each with an SVG beside it; returns the PNG files.
+    """Draw each judging record as ``comparison-<record>.png``, each with an SVG and a PDF beside it; returns the PNG files.
 
     For each output: measured and every model's free run around its liveliest stretch, the errors over the whole record, and bars of
     the free-run and the one-step error, best first.
@@ -67,7 +67,7 @@ def draw_comparison(comparison: Comparison, directory: str | Path) -> list[Path]
 
 
 def draw_discovery(discovery: Discovery, directory: str | Path) -> list[Path]:
-    """Draw a discovery, each picture as PNG with an SVG beside it; returns the PNG files.
+    """Draw a discovery, each picture as PNG with an SVG and a PDF beside it; returns the PNG files.
 
     ``missing-<effect>`` (or ``missing-unknown``): the signal that the plain model lacks, with the effect's (the surrogate's) through it.
     ``residuals``: the error on the first validation record in time, and its averaged spectrum, before and after. ``candidates``: misfit
@@ -109,7 +109,7 @@ def draw_gap(
 
 
 def save_sheets(sheets: Iterable[Sheet], directory: str | Path) -> list[Path]:
-    """Write each sheet as PNG and SVG into a folder, which is made; returns the PNG files."""
+    """Write each sheet as PNG, SVG and PDF into a folder, which is made; returns the PNG files."""
     from greybox.show.figures.matplotlib_backend import save_sheet
 
     folder = Path(directory)
