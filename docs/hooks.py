@@ -33,7 +33,9 @@ INLINE = re.compile(r"(?<![\\$`\w])\$(?!\s)([^$\n`]+?)(?<!\s)\$(?![\w$])")
 CODE = re.compile(r"(^```.*?^```|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 STUDIES, DECISIONS, GALLERY = "Studies", "Decisions", "Gallery"
 FIGURE = re.compile(r"<!-- figure: (\w+) -->")
-LISTED = re.compile(r"<!-- gallery: ([\w ]+) -->")
+# A mark, and what stands in its place where nobody has built the pages: up to the next `<!-- end -->`.
+KEPT = r"(?:\n(?:(?!<!-- ).)*?<!-- end -->)?"
+LISTED = re.compile(r"<!-- gallery: ([\w ]+) -->" + KEPT, re.DOTALL)
 CACHE = FOLDER.parent / ".cache" / "gallery"
 SIZE = (5.6, 3.6)  # inches of a study's picture
 
@@ -150,13 +152,16 @@ def _draw(result: Any) -> bytes:
     return file.getvalue()
 
 
-def list_studies(names: str) -> str:
+def list_studies(names: str, *, pictures: bool = True) -> str:
     """Pictures, titles and first sentences of the studies with these names."""
     rows = []
     for name in names.split():
         title, sentence = (FOLDER / "gallery" / f"{name}.md").read_text(encoding="utf-8").split("\n\n")[:2]
         link = f"gallery/{name}.md"
-        rows.append(f"- [![](gallery/{name}.png)]({link}) **[{title.removeprefix('# ')}]({link})** {sentence}")
+        picture = f"[![](gallery/{name}.png)]({link}) " if pictures else ""
+        rows.append(f"- {picture}**[{title.removeprefix('# ')}]({link})** {sentence}")
+    if not pictures:
+        return "\n".join(rows)
     return "\n".join(['<div class="gallery" markdown>', "", *rows, "", "</div>"])
 
 
@@ -166,9 +171,10 @@ def on_page_markdown(markdown: str, page: Any = None, **_: Any) -> str:
     if page is not None and FIGURE.search(markdown):
         markdown = FIGURE.sub(f"![The result of this study]({Path(page.file.src_path).stem}.png)", markdown)
     for words, write in GENERATED.items():
-        mark = f"<!-- {words} -->"
-        if mark in markdown:
-            markdown = markdown.replace(mark, write())
+        mark = re.compile(f"<!-- {words} -->{KEPT}", re.DOTALL)
+        if mark.search(markdown):
+            written = write()
+            markdown = mark.sub(lambda _, text=written: text, markdown)
     pieces = CODE.split(markdown)
     return "".join(piece if k % 2 else _typeset(piece) for k, piece in enumerate(pieces))
 
@@ -344,15 +350,29 @@ GENERATED: dict[str, Callable[[], str]] = {
 }
 
 
-def rewrite_catalogue() -> None:
-    """Write docs/catalogue.md and docs/roles.md anew from the catalogue: ``python docs/hooks.py``."""
+def keep(markdown: str) -> str:
+    """A page as it stands in a clone: lists of studies and the fields of a study file below their marks, without pictures."""
+    fields = re.compile(f"<!-- study fields -->{KEPT}", re.DOTALL)
+    if fields.search(markdown):
+        written = f"<!-- study fields -->\n\n{study_fields()}\n\n<!-- end -->"
+        markdown = fields.sub(lambda _: written, markdown)
+    return LISTED.sub(
+        lambda match: f"<!-- gallery: {match[1]} -->\n\n{list_studies(match[1], pictures=False)}\n\n<!-- end -->",
+        markdown,
+    )
+
+
+def rewrite_kept_pages() -> None:
+    """Write anew what the pages hold of the program's own words: ``python docs/hooks.py``."""
     from greybox.model.effects import CATALOGUE, ROLES
     from greybox.show.sentences.model import write_catalogue_page, write_roles_page
 
     (FOLDER / "roles.md").write_text(write_roles_page(ROLES), encoding="utf-8")
 
     (FOLDER / "catalogue.md").write_text(write_catalogue_page(CATALOGUE), encoding="utf-8")
+    for page in (FOLDER / "gallery.md", FOLDER / "study_files.md"):
+        page.write_text(keep(page.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    rewrite_catalogue()
+    rewrite_kept_pages()

@@ -148,6 +148,18 @@ def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:
     assert (DOCS / "catalogue.md").read_text(encoding="utf-8") == page, "run python docs/hooks.py"
 
 
+def test_a_clone_shows_what_the_built_pages_show(hooks) -> None:
+    marks = re.compile(r"^<!-- (?!slow|figure|part|end)[\w :]+ -->$", re.MULTILINE)
+    for path in DOCS.rglob("*.md"):
+        text = path.read_text(encoding="utf-8")
+        assert hooks.keep(text) == text, "run python docs/hooks.py"
+        # No page ends, or goes on with a heading, where a clone's reader would find nothing below a mark.
+        for mark in marks.finditer(text):
+            below = text[mark.end() :].partition("<!-- end -->")
+            assert below[1] and below[0].strip(), f"{path.name}: nothing below {mark[0]}"
+            assert "<!-- end -->" not in hooks.on_page_markdown(text)
+
+
 def test_every_package_has_its_table_of_modules(hooks) -> None:
     tables = hooks.modules()
     layers = {path.parent.name for path in (ROOT / "greybox").glob("*/__init__.py")}
