@@ -140,7 +140,7 @@ def round_trip(found: gb.Discovery, learn: gb.Experiment, records: Mapping[str, 
         answer = found.extended
         read = load(gb.export.to_python(answer, Path(folder) / "model.py"))
         # From these constants alone: other starts answer another question.
-        refit = gb.fit(read, learn, options=replace(found.options, other_starts=0))
+        refit = gb.fit(read, learn, options=replace(found.options, other_starts=0, exchange=False))
         again = load(gb.export.to_python(refit, Path(folder) / "again.py"))
         said = [str(f) for f in found.findings if f.code is DiscoveryCode.REFIT_ELSEWHERE]
         return {

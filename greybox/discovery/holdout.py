@@ -350,7 +350,7 @@ def finish_fit(
         return RefitComparison(fit)
     best = RefitComparison(fit, is_settled=False, is_late=True)
     # It begins at the answer: that it stands there is no trouble for which other starts would have to be searched from.
-    options = replace(user.options, other_starts=0)
+    options = replace(user.options, other_starts=0, exchange=False)
     for _ in range(most):
         if problem.executor.is_late:
             break

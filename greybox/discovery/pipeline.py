@@ -449,6 +449,6 @@ def follow_conditions(fit: Fit, records: Sequence[Experiment], options: FitOptio
     amplitudes = [q.name for q in fit.model.free_parameters if q.name not in shapes | given]
     if not amplitudes:
         return ()
-    near = replace(options, progressive=False, other_starts=False, per_experiment=())
+    near = replace(options, progressive=False, other_starts=0, exchange=False, per_experiment=())
     each = estimate(fit.model, records, noise=fit.noise.given, per_experiment=amplitudes, options=near)
     return tuple(f for f in each.findings if f.code == EstimationCode.VALUES_BY_RECORD) if each.success else ()

@@ -20,7 +20,7 @@ from greybox.estimation.identifiability.practical import (
 )
 from greybox.estimation.identifiability.sensitivity import simulate_generic_record
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
-from greybox.estimation.identifiability.twins import find_other_answers, find_twins
+from greybox.estimation.identifiability.twins import find_other_answers, find_twins, move_apart
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model import Input, Model, Parameter, State
@@ -291,6 +291,11 @@ def check(
     except DataError as error:  # of a model that overflows; the records are still looked at
         doubt = str(error)
     practical = analyse_problem(problem, structure)
+    twins = () if practical.failure else find_twins(problem)
+    # Where constants that may change places start equal no slope tells them apart: what to expect of them is asked where they differ.
+    apart = move_apart(problem, twins)
+    if apart is not problem:
+        practical = analyse_problem(apart, structure)
     return ModelCheck(
         model,
         model.has_equations and model.system.linear,
@@ -305,7 +310,7 @@ def check(
         tuple(find_excluded_outputs(problem)),
         structure,
         practical,
-        () if practical.failure else tuple(find_other_answers(find_twins(problem))),
+        tuple(find_other_answers(twins)),
         doubt,
         tuple(find_placements(model, all_effects())),
         options,

@@ -28,6 +28,7 @@ from greybox.estimation.optimum import SimulationOptimum
 from greybox.estimation.options import FitOptions
 from greybox.estimation.profiles import ProfileSearch, RiseScale, estimate_covariance_at, scale_simulation_error
 from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import Estimates
 from greybox.estimation.transcription.decision_vector import DecisionVector
 
 
@@ -49,7 +50,8 @@ class Exchange:
             name: replace(fit.parameters[name], interval=(low, high), std=(high - low) / half)
             for name, (low, high) in self.intervals.items()
         }
-        return replace(fit, parameters={**fit.parameters, **estimates}, findings=(*self.findings, *fit.findings))
+        parameters = Estimates({**fit.parameters, **estimates})
+        return replace(fit, parameters=parameters, findings=(*self.findings, *fit.findings))
 
 
 # Half the distance to a twin in standard deviations up to which the cost is no parabola: below four the interval holds the twin, and at

@@ -65,6 +65,7 @@ from greybox.estimation.transcription.problem import (
     make_strategy,
     prepare_problem,
 )
+from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
 from greybox.estimation.validate import validate
 from greybox.model import Effect, Model, equations_text
@@ -87,7 +88,7 @@ def fit(
     model: Model | Plant,
     experiments: Experiment | Sequence[Experiment],
     *,
-    noise: Mapping[str, float | GrowingNoise] | NoiseModel | None = None,
+    noise: Mapping[str, float | str | GrowingNoise] | NoiseModel | None = None,
     quiet: Experiment | Sequence[Experiment] = (),
     colour: ColourTreatment | str = ColourTreatment.KNOWN,
     validation: Experiment | Sequence[Experiment] = (),
@@ -118,7 +119,9 @@ def fit(
         Estimation records: experiments, or data frames and mappings from name to column with headers as a file has them.
     noise
         Standard deviation by output in the model's units, a `GrowingNoise` where it grows with the signal (each row is then weighed by the
-        noise at the run there), or a `NoiseModel` that is known already. Of outputs left out it is what the
+        noise at the run there), or a `NoiseModel` that is known already. A text names a level that is estimated together with the
+        constants, by maximum likelihood, from the residual of all outputs with that name: ``{"x1": "a", "x2": "a"}`` for two sensors
+        of one kind. Of outputs left out it is what the
         experiments tell row by row, or it is estimated, in this order of trust: from ``quiet`` records, from repetition in the records (a
         periodic input, several experiments with the same input), from high-order differences. Quiet records and repetition show the noise's
         colour as well: then residual and sensitivities are whitened by its autoregression, which is maximum likelihood for such noise.
@@ -188,12 +191,15 @@ def fit(
             raise ModelError(
                 "colour 'residual': process noise makes the innovations white; leave out the colour, or the process noise"
             )
-        levels: Mapping[str, float] | NoiseModel = (
-            noise
-            if isinstance(noise, NoiseModel)
-            else {n: v for n, v in (noise or {}).items() if not isinstance(v, GrowingNoise)}
-        )
-        grows = bool(noise.growth) if isinstance(noise, NoiseModel) else levels != (noise or {})
+        given = {} if isinstance(noise, NoiseModel) or noise is None else dict(noise)
+        if named := [n for n, v in given.items() if isinstance(v, str)]:
+            raise ModelError(
+                f"noise of {', '.join(named)}: a fit with process noise estimates the level of each output that is not given; leave the"
+                " names of levels out"
+            )
+        known = {n: v for n, v in given.items() if isinstance(v, (int, float))}
+        levels: Mapping[str, float] | NoiseModel = noise if isinstance(noise, NoiseModel) else known
+        grows = bool(noise.growth) if isinstance(noise, NoiseModel) else known != given
         if grows or any(e.noise for e in to_experiments(experiments)):
             which = "that grows with the signal" if grows else "told row by row"
             raise ModelError(
@@ -224,7 +230,7 @@ def fit(
             optimum = _refine_for_constants(optimum, options, report)
     model.require_unchanged()
     exchange = None
-    if isinstance(optimum, SimulationOptimum) and options.other_starts > 0:
+    if isinstance(optimum, SimulationOptimum) and options.exchange:
         exchange = find_exchange(optimum, options)
     result = exchange.complete(assemble_fit(exchange.optimum, options)) if exchange else assemble_fit(optimum, options)
     if starts or notices:
@@ -627,6 +633,16 @@ def _count_runs(problem: EstimationProblem) -> dict[str, float]:
     return {"runs": kernel.runs, "failed_runs": kernel.failures, "simulation_equivalents": kernel.rows / rows}
 
 
+def compute_level_deviations(noise: NoiseModel, evaluation: Evaluation, unknowns: int) -> dict[str, float]:
+    """Standard deviation of the logarithm of each level that has a name, by output: ``1 / sqrt(2 n)`` of n independent readings."""
+    result: dict[str, float] = {}
+    for outputs in map(list, noise.sharing):
+        # The unknowns have taken their share of the readings of every output.
+        left = evaluation.counts[outputs].sum() * max(1 - unknowns / max(evaluation.count, 1), 0.0)
+        result |= dict.fromkeys((noise.outputs[j] for j in outputs), float(1 / np.sqrt(2 * max(left, 1.0))))
+    return result
+
+
 def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
     """The result of an estimation, by simulation error or by prediction error."""
     model, problem, variables, covariance = optimum.model, optimum.problem, optimum.variables, optimum.covariance
@@ -655,7 +671,7 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
     estimated_noise = [model.outputs[j] for j in variables.estimated_noise]
     return Fit(
         model=optimum.fitted_model,
-        parameters=parameters,
+        parameters=result_parts.Estimates(parameters),
         misfit=misfit,
         traces=optimum.traces,
         solver=result_parts.SolverReport(
@@ -683,8 +699,13 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
             {o.name: float(problem.noise.std[j]) for j, o in measured},
             dict(problem.noise.sources),
             {o.name: problem.noise.colour[j].reflection for j, o in measured},
-            dict(zip((o.name for o in estimated_noise), covariance.log_noise.tolist(), strict=False)),
-            {o.name: o.unit for o in model.outputs if o in estimated_noise or o.name in problem.noise.growth},
+            dict(zip((o.name for o in estimated_noise), covariance.log_noise.tolist(), strict=False))
+            or compute_level_deviations(problem.noise, optimum.evaluation, variables.size),
+            {
+                o.name: o.unit
+                for o in model.outputs
+                if o in estimated_noise or o.name in {*problem.noise.growth, *problem.noise.named}
+            },
             {
                 o.name: replace(bound, level=float(problem.noise.std[j]))
                 if bound.source is NoiseSource.RESIDUAL
@@ -693,6 +714,7 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
                 if not prediction and (bound := problem.noise.bound(o.name)) is not None
             },
             {name: noise for name, noise in problem.noise.growth.items() if name in misfit},
+            dict(problem.noise.named),
         ),
         uncertainty=result_parts.FitUncertainty(
             free, matrix, covariance.kind, dict(zip(variables.names, covariance.inflation.tolist(), strict=True))

@@ -311,7 +311,7 @@ def multistart(
             skip=skip,
             beginning=beginning,
             # Where none of them explains anything the fit begins others; none after the time limit or Ctrl-C.
-            options=replace(options, other_starts=0) if left else options,
+            options=replace(options, other_starts=0, exchange=False) if left else options,
         )
         ends.append((compute_ratio(again.solver.cost, again.misfit, known_noise), again))
         if ends[-1][0] <= promised or left:

@@ -23,7 +23,7 @@ from greybox.estimation.sandwich import LEAST_LEVEL_READINGS, estimate_residual_
 from greybox.estimation.transcription.collocation import solve_collocation
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.multiple_shooting import solve_multiple_shooting
-from greybox.estimation.transcription.plant_search import solve_plant
+from greybox.estimation.transcription.plant_search import SHARES, shoot_part, solve_plant
 from greybox.estimation.transcription.problem import Completion, EstimationProblem, FitProgressCallback, Runs, Solution
 from greybox.estimation.transcription.select import select_transcription, try_free_run
 from greybox.estimation.transcription.shooting_cost import PlantShooting
@@ -67,6 +67,8 @@ def keep_best(
     problem, status = solution.problem, solution.status
     is_failed = not (status.success or solution.is_single or status is TerminationStatus.INTERRUPTED)
     ended = solution.evaluation.cost if solution.is_run else np.inf
+    if is_worse_in_part(solution, start, ended) and not is_failed:
+        return solution
     runs = [(compute_cost(problem, start), start)]
     if runs[0][0] >= ended and not is_failed:
         return solution
@@ -86,6 +88,15 @@ def keep_best(
     if not np.isfinite(again.evaluation.cost) or again.evaluation.cost > ended:
         return solution
     return replace(again, strategy=solution.strategy).with_strategy(completion=str(Completion.WENT_ON))
+
+
+def is_worse_in_part(solution: Solution, start: DecisionVector, ended: float) -> bool:
+    """Whether the run of a plant from ``start`` costs more than ``ended`` over the first part already, which the search has run: no term
+    of a cost is negative, and the whole need not be run.
+    """
+    if not isinstance(solution.problem.model, PlantModel) or SHARES[0] not in solution.shares:
+        return False
+    return shoot_part(solution.problem, start, SHARES[0]).cost(start.here) >= ended
 
 
 def compute_cost(problem: EstimationProblem, variables: DecisionVector) -> float:
@@ -212,10 +223,9 @@ def _update_level(solution: Solution, options: FitOptions) -> EstimationProblem 
     )
     if problem.loss is not None:
         return None
-    counts, squares = np.maximum(evaluation.counts, 1), evaluation.squares
-    if problem.noise.common:  # of all of them together
-        shared = np.isin(np.arange(len(untold)), problem.noise.sharing)
-        counts, squares = (np.where(shared, each[shared].sum(), each) for each in (counts, squares))
+    counts, squares = np.maximum(evaluation.counts, 1), evaluation.squares.copy()
+    for outputs in map(list, problem.noise.sharing):  # of all of them together
+        counts[outputs], squares[outputs] = counts[outputs].sum(), squares[outputs].sum()
     if len(counts) > 1:
         untold &= counts >= LEAST_LEVEL_READINGS
     # Unbiased: the unknowns have taken their share of the residual, N / (N - p) gives it back.

@@ -480,7 +480,6 @@ def restore_noise(fit: Fit) -> NoiseModel:
     outputs = fit.model.outputs
     std = np.array([fit.noise.std.get(o.name, 1.0) for o in outputs])
     colour = tuple(AutoRegression(tuple(fit.noise.colour.get(o.name, ()))) for o in outputs)
-    options = FitOptions.from_data(fit.provenance.options)
     known = bool(fit.noise.sources) and all(source.is_independent for source in fit.noise.sources.values())
     return NoiseModel(
         tuple(o.name for o in outputs),
@@ -489,6 +488,6 @@ def restore_noise(fit: Fit) -> NoiseModel:
         colour,
         known,
         fit.noise.bounds,
-        options.common_noise,
+        fit.noise.named,
         fit.noise.growth,
     )

@@ -263,6 +263,8 @@ class FitOptions:
     other_starts
         How many other starts are searched where the fit from the model's own explains nothing of an output, and how many more about
         the scales that the records show where those do not either; 0 for none.
+    exchange
+        Look for constants that may change places, by some runs at the optimum; False for one of many fits.
     policy
         The numbers that steer decisions, see `EstimationPolicy`.
 
@@ -292,10 +294,11 @@ class FitOptions:
     per_experiment: tuple[str, ...] = ()
     common_noise: bool = False
     other_starts: int = 6
+    exchange: bool = True
 
     KEYS: ClassVar[str] = """
         method substeps progressive iterations tolerance thorough transcription arc_length hessian at_rest loss per_experiment
-        common_noise other_starts policy
+        common_noise other_starts exchange policy
         """
 
     def __post_init__(self) -> None:

@@ -222,11 +222,8 @@ def estimate_by_prediction_error(
         )
     names = tuple(q.name for q in model.free_parameters if q.name in model.noise_parameters)
     undriven = model.fix(*names)  # a free run knows nothing of the intensities
-    solution = solve(
-        prepare_problem(undriven, experiments, noise, options, quiet=quiet, initial=initial, written_out=True),
-        options,
-        report,
-    )
+    begun = prepare_problem(undriven, experiments, noise, options, quiet=quiet, initial=initial, written_out=True)
+    solution = solve(begun, options, report)
     # Change of each state from row to row over the root of the interval: what a random walk of unit intensity makes one.
     changes = [
         np.diff(x, axis=0) / np.sqrt(r.h)[:, None]
@@ -237,7 +234,8 @@ def estimate_by_prediction_error(
         # Root mean square of dx / sqrt(h).
         moved = np.sqrt(np.nanmean(np.where(np.isfinite(whole), whole, np.nan) ** 2, axis=0))
     sizes = compute_largest_intensities(model, moved)
-    starts = [guess_intensities(start, names, sizes) for start in _make_starts(model, names, sizes, solution, options)]
+    objectives = _make_starts(model, names, sizes, begun.variables, solution, options)
+    starts = [guess_intensities(start, names, sizes) for start in objectives]
     optimum = objective.search_minimum(objective.select_best_start(starts), options, report)
     if not optimum.status.success:
         return MaximumLikelihoodEstimate(solution, optimum, names, (), sizes)
@@ -247,7 +245,12 @@ def estimate_by_prediction_error(
 
 
 def _make_starts(
-    model: Model, names: Sequence[str], sizes: Mapping[str, float], solution: Solution, options: FitOptions
+    model: Model,
+    names: Sequence[str],
+    sizes: Mapping[str, float],
+    begun: DecisionVector,
+    solution: Solution,
+    options: FitOptions,
 ) -> list[objective.PredictionErrorObjective]:
     """The likelihood at the fit by simulation error, where there is one, and at the start values."""
     problem = solution.problem
@@ -264,7 +267,7 @@ def _make_starts(
     given = [e.conditions for e in problem.experiments]
     conditions, titles = given if any(given) else (), [e.name for e in problem.experiments]
     objectives = []
-    for start in (solution.variables, problem.variables) if solution.status.success else (problem.variables,):
+    for start in (solution.variables, begun) if solution.status.success else (begun,):
         variables = DecisionVector.of(working, start.initial, conditions, options.per_experiment, titles)
         variables = variables.with_values(dict(zip(start.names, start.base, strict=True)))
         variables = objective.add_noise_levels(variables, problem)

@@ -84,7 +84,7 @@ class Fit(Printable, ReadOnly, StoredResult):
     """
 
     model: Model
-    parameters: Mapping[str, result_parts.Estimate]
+    parameters: result_parts.Estimates
     misfit: Mapping[str, result_parts.Misfit]
     traces: Sequence[result_parts.Trace]
     solver: result_parts.SolverReport
@@ -108,16 +108,12 @@ class Fit(Printable, ReadOnly, StoredResult):
         versions=provenance.versions notes=str(findings) findings
         status_details=solver.details search=solver.strategy misfit_at_least validation=validation.misfit
         validation_at_least validation_traces=validation.traces noise_sources=noise.sources noise_colour=noise.colour
-        noise_log_std=noise.log_std noise_units=noise.units noise_bounds=noise.bounds noise_growth?=noise.growth
+        noise_log_std=noise.log_std noise_units=noise.units noise_bounds=noise.bounds noise_growth?=noise.growth noise_named?=noise.named
         interval_kind=uncertainty.kind inflation=uncertainty.inflation discretisation_shift=discretisation.shift
         tied=constraints.tied ties=constraints.ties own=constraints.per_experiment priors=constraints.priors loss=robust.name
         loss_scale=robust.scale outliers=robust.outliers ends=starts process_noise=prediction.process_noise
         prediction=prediction.one_step log_likelihood=prediction.log_likelihood
         """
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "parameters", result_parts.Estimates(self.parameters))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Models are made of functions, which are packed as they are for another process.
@@ -246,7 +242,15 @@ def _find_contradiction(data: Mapping[str, Any]) -> str:
         return "free names a parameter that parameters does not"
     if set(data.get("tied", {})) != set(data.get("ties", {})):
         return "tied and ties do not name the same parameters"
-    for key in ("noise_sources", "noise_colour", "noise_log_std", "noise_units", "noise_bounds", "noise_growth"):
+    for key in (
+        "noise_sources",
+        "noise_colour",
+        "noise_log_std",
+        "noise_units",
+        "noise_bounds",
+        "noise_growth",
+        "noise_named",
+    ):
         if not set(data.get(key, {})) <= set(data["noise"]):
             return f"{key} names an output that noise does not"
     if set(data.get("noise_log_std", {})) - set(data.get("noise_units", {})):
@@ -330,7 +334,9 @@ def join_definition(data: Mapping[str, Any], model: Model, *, insist: bool = Fal
 
 def _restore_fit(data: Mapping[str, Any], model: Model, insist: bool) -> Fit:
     """The fit that ``data`` holds; a model with other ties is refused with DataError."""
-    parameters = {n: from_json_data(result_parts.Estimate, e) for n, e in data["parameters"].items()}
+    parameters = result_parts.Estimates(
+        {n: from_json_data(result_parts.Estimate, e) for n, e in data["parameters"].items()}
+    )
     # Process noise of the fit, where it was added to the model (`Model.with_process_noise`).
     states = [s for s in data.get("process_noise", {}) if s in model.system.state_names and s not in model.noisy_states]
     estimated = [s for s in states if intensity_name(s) in data["parameters"] and intensity_name(s) not in model.values]
@@ -350,6 +356,7 @@ def _restore_fit(data: Mapping[str, Any], model: Model, insist: bool) -> Fit:
     fixed = [n for n, e in parameters.items() if e.fixed]
     fitted = model.free(*(n for n, e in parameters.items() if not e.fixed)).fix(*fixed)
     given: dict[str, Any] = {
+        "parameters": parameters,
         "model": fitted.start(**{n: e.value for n, e in parameters.items()}),
         "solver.statistics": {name: value for name, value in data.get("solver", {}).items() if name != "strategy"},
         "solver.strategy": _finding(data["search"]) if data.get("search") else None,

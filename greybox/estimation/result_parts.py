@@ -334,6 +334,8 @@ class FitNoise(Printable, ReadOnly):
         What is known of each level: about as large, at most or at least, and for how long it remembers.
     growth
         How the noise grows with the signal, of the outputs of which this is so; ``std`` is then its rms over the records.
+    named
+        The name of the level that an output has, in common with all others that have it.
     """
 
     std: Mapping[str, float]
@@ -343,6 +345,7 @@ class FitNoise(Printable, ReadOnly):
     units: Mapping[str, str] = field(default_factory=dict)
     bounds: Mapping[str, NoiseBound] = field(default_factory=dict)
     growth: Mapping[str, GrowingNoise] = field(default_factory=dict)
+    named: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def given(self) -> dict[str, float | GrowingNoise]:

@@ -50,18 +50,21 @@ class ResidualColour:
             result.append((float(2 * np.abs(rho).sum() - 1), float(2 * (rho @ rho) - 1)))
         return result
 
-    def share_variance(self, outputs: Sequence[int]) -> ResidualColour:
-        """The same with one variance for all of these outputs, whose noise is one.
+    def share_variance(self, groups: Sequence[Sequence[int]]) -> ResidualColour:
+        """The same with one variance for the outputs of each group, whose noise is one.
 
         Beside others a handful of readings says nothing of their noise: it counts as what they are weighed with, at least.
         """
-        samples = sum(self.counts[j] for j in outputs)
-        shared = sum(self.variance[j] * self.counts[j] for j in outputs) / max(samples, 1)
-        alone = [
+        variance = [
             max(v, 1.0) if len(self.counts) > 1 and 0 < n < LEAST_LEVEL_READINGS else v
             for v, n in zip(self.variance, self.counts, strict=True)
         ]
-        return replace(self, variance=tuple(shared if j in outputs else v for j, v in enumerate(alone)))
+        for outputs in groups:
+            samples = sum(self.counts[j] for j in outputs)
+            shared = sum(self.variance[j] * self.counts[j] for j in outputs) / max(samples, 1)
+            for j in outputs:
+                variance[j] = shared
+        return replace(self, variance=tuple(variance))
 
     @property
     def degrees(self) -> float:

@@ -18,6 +18,7 @@ from greybox.shell.inputs import (
     set_parameters,
 )
 from greybox.shell.study import LAYOUT, SHOWING, SUBSTEPS, Answer, Command, Idle, Needs, Study
+from greybox.shell.study_values import Numbers
 from greybox.shell.terminal import exit_with_error, print_note, write_report
 
 if TYPE_CHECKING:
@@ -181,7 +182,10 @@ SIMULATE = Command(
         Study.sampling_time.but(help="Sampling time of the test signal, or of an INPUT without a time column."),
         Study.start.but(usage="--set --start NAME=VALUE", help="Value of a parameter, in its unit."),
         Study.fixed.but(help="Value of a parameter, in its unit."),
-        Study.noise.but(help="Standard deviation of white noise added to an output, in its unit."),
+        Study.noise.but(
+            kind=Numbers("OUTPUT=STD", "x=2e-7"),
+            help="Standard deviation of white noise added to an output, in its unit.",
+        ),
         Study.limits.but(
             help="Range of an input, output or state: a run that leaves it ends with exit code 1, as a rig's emergency stop would."
         ),

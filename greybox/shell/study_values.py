@@ -445,6 +445,17 @@ class Numbers(Table):
 
 
 @dataclass(frozen=True)
+class NoiseLevels(Numbers):
+    """A standard deviation for each output, or the name of a level that outputs have in common: ``x=2e-7``, ``x=a``."""
+
+    def value_of(self, option: str, name: str, text: str) -> float | str:  # type: ignore[override]
+        return text if text.isidentifier() else super().value_of(option, name, text)
+
+    def entry(self, place: str, name: str, data: Any) -> float | str:  # type: ignore[override]
+        return data if isinstance(data, str) and data.isidentifier() else super().entry(place, name, data)
+
+
+@dataclass(frozen=True)
 class Priors(Table):
     """Mean and standard deviation for each name: ``M=0.0100+-0.0001``, or ``M = {mean = 0.01, std = 1e-4}``."""
 

@@ -73,7 +73,7 @@ def test_their_sum_and_the_gain_are_as_well_known_as_beside_the_square_of_their_
 
 def test_lags_far_apart_keep_the_interval_of_their_curvature():
     found, _ = lags_fit(APART, 1)
-    plain, _ = lags_fit(APART, 1, other_starts=0)
+    plain, _ = lags_fit(APART, 1, exchange=False)
     assert found.parameters == plain.parameters
     assert find(found.findings, IdentifiabilityCode.OTHER_ANSWER).values["exchanged"] == ["tau1", "tau2"]
     assert IdentifiabilityCode.EXCHANGEABLE not in codes(found.findings)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 
 from greybox import Balance, FitOptions, Model, Output, Parameter, State, fit
 from greybox.base.errors import ModelError
@@ -88,6 +88,51 @@ def test_outputs_with_common_noise_are_weighed_alike_at_the_level_of_all_residua
     assert found.noise.std["y1"] == found.noise.std["y2"] == pytest.approx(level, rel=1e-3)
     std = level / np.sqrt(2 * np.sum((t * np.exp(-least.x[0] * t)) ** 2))
     assert found.parameters["k"].std == pytest.approx(std, rel=1e-3)
+
+
+def test_levels_that_are_named_are_those_of_the_largest_likelihood():
+    """Two outputs share one level, a third has its own: against the likelihood as SciPy finds it."""
+    t, generator = np.linspace(0, 4, 25), np.random.default_rng(1)
+
+    def runs(a, b, k):
+        s = 1 - np.exp(-k * t)
+        return a * s, b * s**2, a * b * s
+
+    seen = [y + std * generator.normal(size=25) for y, std in zip(runs(2.0, 3.0, 0.7), (0.05, 0.05, 0.4), strict=True)]
+    model = Model(
+        "rise",
+        states=[State("s", "1", 0.0)],
+        inputs=[],
+        outputs=[
+            Output("y1", "1", lambda x, u, p: p.a * x.s),
+            Output("y2", "1", lambda x, u, p: p.b * x.s**2),
+            Output("y3", "1", lambda x, u, p: p.a * p.b * x.s),
+        ],
+        parameters=[Parameter(n, "1/s" if n == "k" else "1", 1.5, (0.01, 100.0)) for n in "abk"],
+        balances=lambda x, u, p: [Balance("s", "1/s", 1, "s", rise=p.k * (1 - x.s))],
+    )
+    record = Experiment("rise", t, {}, dict(zip(("y1", "y2", "y3"), seen, strict=True)))
+    found = fit(model, record, noise={"y1": "n", "y2": "n", "y3": "w"}, options=FitOptions(at_rest=True))
+
+    def minus_log_likelihood(z):
+        *constants, small, large = np.exp(z)
+        pairs = zip(seen, runs(*constants), (small, small, large), strict=True)
+        return sum(np.sum((y - run) ** 2) / (2 * s**2) + len(y) * np.log(s) for y, run, s in pairs)
+
+    likely = np.exp(minimize(minus_log_likelihood, np.log([2, 3, 0.7, 0.05, 0.4]), tol=1e-12).x)
+    assert [found.parameters[n].value for n in "abk"] == pytest.approx(likely[:3], rel=1e-5)
+    # Each level is that of the likelihood but for the constants' share of the readings.
+    unbiased = np.sqrt(75 / 72)
+    assert [found.noise.std[n] for n in ("y1", "y2", "y3")] == pytest.approx(likely[[3, 3, 4]] * unbiased, rel=1e-3)
+    # The curvature of the likelihood along the logarithm of a level of n readings is 2 n.
+    assert found.noise.log_std["y1"] == pytest.approx(1 / np.sqrt(2 * 48), rel=1e-9)
+    low, high = found.noise.interval("y1")
+    assert low < 0.05 < high
+
+
+def test_a_level_needs_a_name_or_a_number():
+    with pytest.raises(ModelError, match="neither a number nor the name of a level"):
+        prepare_problem(TRUTH, record(2), {"x": "1 mm"}, FitOptions())
 
 
 def test_common_noise_of_a_length_and_a_current_is_refused():

@@ -374,8 +374,8 @@ class NoiseModel(Printable):
         Whether no level was estimated from the records that are fitted.
     bounds
         What is known of each, by name of the measured outputs; what a source says in general where one is missing.
-    common
-        Whether outputs whose level is that of the residual have it in common.
+    named
+        The name of the level of an output, by its name, where it is that of the residual and may be that of others as well.
     growth
         How the noise grows with the signal, by name of the outputs of which this is so; ``std`` is then its rms over the records.
     """
@@ -386,18 +386,16 @@ class NoiseModel(Printable):
     colour: tuple[AutoRegression, ...]
     known: bool
     bounds: Mapping[str, NoiseBound] = field(default_factory=dict)
-    common: bool = False
+    named: Mapping[str, str] = field(default_factory=dict)
     growth: Mapping[str, GrowingNoise] = field(default_factory=dict)
 
     @property
-    def sharing(self) -> tuple[int, ...]:
-        """Numbers of the outputs that have one noise in common."""
-        ours = (
-            j
-            for j, name in enumerate(self.outputs)
-            if self.sources.get(name) is NoiseSource.RESIDUAL and name not in self.growth
+    def sharing(self) -> tuple[tuple[int, ...], ...]:
+        """Numbers of the outputs that have one level in common, for each level that has a name."""
+        levels = dict.fromkeys(self.named.values())
+        return tuple(
+            tuple(j for j, name in enumerate(self.outputs) if self.named.get(name) == level) for level in levels
         )
-        return tuple(ours) if self.common else ()
 
     @property
     def coloured(self) -> bool:

@@ -6,7 +6,7 @@ residual of a model that may lack something: it would call noise what is missing
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -68,7 +68,7 @@ class _Level:
 def estimate_noise(
     model: Model,
     experiments: Sequence[Experiment],
-    given: Mapping[str, float | GrowingNoise],
+    given: Mapping[str, float | str | GrowingNoise],
     quiet: Experiment | Sequence[Experiment] = (),
     *,
     robust: bool = False,
@@ -87,7 +87,8 @@ def estimate_noise(
     experiments
         The records that are to be fitted.
     given
-        Standard deviations by output, in the model's units, or how the noise grows with the signal (`GrowingNoise`).
+        Standard deviations by output, in the model's units, or how the noise grows with the signal (`GrowingNoise`). A text names a level
+        that is estimated from the residual of all outputs with that name.
     quiet
         Records with the input at rest; they also show the colour, of given noise as well.
     robust
@@ -115,7 +116,8 @@ def estimate_noise(
     check_given_noise(model, given)
     growth = {name: noise for name, noise in given.items() if isinstance(noise, GrowingNoise)}
     _check_logarithms(growth, experiments)
-    levels_given = {name: noise for name, noise in given.items() if not isinstance(noise, GrowingNoise)}
+    named = {name: level for name, level in given.items() if isinstance(level, str)}
+    levels_given = {name: noise for name, noise in given.items() if isinstance(noise, (int, float))}
     levels_given |= _level_of_rows(model, experiments, given)
     _check_quiet(model, experiments, quiet_records)
     levels: dict[str, _Level] = {}
@@ -131,7 +133,11 @@ def estimate_noise(
                 )
             colour[j], levels[output.name] = level.colour, level
     if common:
-        levels = _share_level(model, levels, growth)
+        untold = (n for n, level in levels.items() if not level.source.is_independent and n not in {*growth, *named})
+        named |= dict.fromkeys(untold, "common noise")
+    named = {name: level for name, level in named.items() if name in levels}
+    for title in dict.fromkeys(named.values()):
+        levels |= _share_level(model, {n: levels[n] for n in named if named[n] == title}, title)
     weights = _weigh_outputs(levels, experiments)
     for j, output in enumerate(model.outputs):
         std[j] = weights.get(output.name, 1.0)
@@ -141,7 +147,7 @@ def estimate_noise(
     known = all(source.is_independent for source in sources.values())
     period = float(np.median(np.concatenate([e.intervals for e in experiments]))) if experiments else 1.0
     bounds = {name: level.to_bound(period) for name, level in levels.items()}
-    return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known, bounds, common, growth)
+    return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known, bounds, named, growth)
 
 
 def _level_of_growth(noise: GrowingNoise, readings: np.ndarray) -> _Level:
@@ -184,24 +190,22 @@ def _level_of_rows(model: Model, experiments: Sequence[Experiment], given: Mappi
     return levels
 
 
-def _share_level(model: Model, levels: Mapping[str, _Level], apart: Iterable[str]) -> dict[str, _Level]:
-    """The outputs whose noise nothing tells, but those ``apart``, at one level: their greatest movement, until there is a residual."""
-    untold = {n: level for n, level in levels.items() if not level.source.is_independent and n not in apart}
-    units = {o.name: o.unit for o in model.outputs if o.name in untold}
+def _share_level(model: Model, levels: Mapping[str, _Level], named: str) -> dict[str, _Level]:
+    """Outputs at one level, which is ``named``: their greatest movement, until there is a residual."""
+    units = {o.name: o.unit for o in model.outputs if o.name in levels}
     if len(set(units.values())) > 1:
         shown = ", ".join(f"{name} in {unit}" for name, unit in units.items())
         raise ModelError(
-            f"common noise: {shown}; outputs have one noise in common only in one unit. Give the noise of the others, or leave"
-            " common_noise out"
+            f"{named}: {shown}; outputs have one noise in common only in one unit. Give the noise of the others, or leave"
+            " it out of what they have in common"
         )
-    std = max((level.std for level in untold.values()), default=1.0)
-    shared = {
+    std = max(level.std for level in levels.values())
+    return {
         name: replace(
             level, std=std, weight=std, source=NoiseSource.RESIDUAL, colour=WHITE, direction=None, is_hidden=False
         )
-        for name, level in untold.items()
+        for name, level in levels.items()
     }
-    return {**levels, **shared}
 
 
 def _weigh_outputs(levels: Mapping[str, _Level], experiments: Sequence[Experiment]) -> dict[str, float]:
@@ -403,7 +407,7 @@ def _find_silent_outputs(levels: Mapping[str, _Level], experiments: Sequence[Exp
     return [name for name in resting if levels[name].source in (NoiseSource.SPECTRUM, NoiseSource.DIFFERENCES)]
 
 
-def check_given_noise(model: Model, given: Mapping[str, float | GrowingNoise]) -> None:
+def check_given_noise(model: Model, given: Mapping[str, float | str | GrowingNoise]) -> None:
     """Refuse noise of an output that the model has not, and what is no standard deviation. Raises ModelError."""
     names = [o.name for o in model.outputs]
     if not isinstance(given, Mapping):
@@ -413,8 +417,13 @@ def check_given_noise(model: Model, given: Mapping[str, float | GrowingNoise]) -
     for name, value in given.items():
         if name not in names:
             raise ModelError(f"noise of {name!r}: the model has no such output; {nearest(name, names)}")
-        if isinstance(value, GrowingNoise):
+        if isinstance(value, GrowingNoise) or (isinstance(value, str) and value.isidentifier()):
             continue
+        if isinstance(value, str):
+            raise ModelError(
+                f"noise of {name!r}: {value!r} is neither a number nor the name of a level; write a name, such as 'a', for outputs that"
+                " share one"
+            )
         if not (np.isfinite(value) and value > 0):
             unit = model.outputs[names.index(name)].unit
             raise ModelError(f"noise of {name!r}: {value} is not a positive standard deviation; give it in {unit}")

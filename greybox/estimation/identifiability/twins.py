@@ -138,6 +138,16 @@ def _list_other_states(problem: EstimationProblem, twin: DecisionVector) -> list
     return [name for name in find_unmeasured_states(problem.model) if name in different]
 
 
+def move_apart(problem: EstimationProblem, twins: Sequence[Twin]) -> EstimationProblem:
+    """``problem`` itself, or begun where constants that change places in ``twins`` and are nearly equal differ."""
+    v = problem.variables
+    alike = [(v.names.index(a), v.names.index(b)) for twin in twins for a, b in twin.pairs]
+    base = np.clip(spread_alike(v.base, alike), v.low, v.high)
+    if np.array_equal(base, v.base):
+        return problem
+    return replace(problem, variables=v.with_values(dict(zip(v.names, base.tolist(), strict=True))))
+
+
 def find_other_answers(twins: Sequence[Twin]) -> list[Finding]:
     """What is to be said of twins: one finding for those that touch the same constants."""
     return [
@@ -171,6 +181,7 @@ def describe_twins(group: Sequence[Twin]) -> dict[str, Any]:
         "units": dict(simplest.units),
         "count": len(group),
         "told_by": list(simplest.told_by),
+        "equal": all(np.isclose(twin.values[a], twin.values[b]) for twin in group for a, b in twin.pairs),
     }
 
 

@@ -37,6 +37,15 @@ LEAST_PART_ROWS = 50
 ALMOST_WHOLE = 0.8
 
 
+def shoot_part(problem: EstimationProblem, variables: DecisionVector, share: float) -> PlantShooting:
+    """The cost of runs over the first ``share`` of every record, and some rows of it at least."""
+    lengths = [min(max(round(share * len(r.u)), LEAST_PART_ROWS), len(r.u)) for r in problem.records]
+    parts = tuple(r.first(n) for r, n in zip(problem.records, lengths, strict=True))
+    shooting = replace(problem, records=parts).shooting(variables)
+    assert isinstance(shooting, PlantShooting)
+    return shooting
+
+
 def solve_plant(problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None = None) -> Solution:
     """Minimise the cost of the runs of a plant over each record."""
     model, kernel = problem.model, problem.kernel
@@ -103,13 +112,10 @@ class _PlantSearch:
 
     def descend_part(self, share: float) -> None:
         """Search over the first ``share`` of every record, unless that is nearly the whole, which costs as much."""
-        records = self.problem.records
-        lengths = [min(max(round(share * len(r.u)), LEAST_PART_ROWS), len(r.u)) for r in records]
-        if sum(lengths) >= ALMOST_WHOLE * sum(len(r.u) for r in records) or not self.variables.size:
+        shooting = shoot_part(self.problem, self.variables, share)
+        rows, whole = (sum(len(r.u) for r in records) for records in (shooting.records, self.problem.records))
+        if rows >= ALMOST_WHOLE * whole or not self.variables.size:
             return
-        parts = tuple(r.first(n) for r, n in zip(records, lengths, strict=True))
-        shooting = replace(self.problem, records=parts).shooting(self.variables)
-        assert isinstance(shooting, PlantShooting)
         if np.isfinite(shooting.cost(self.variables.here)):
             self.shares.append(share)
             z, _ = self._descend(shooting)

@@ -171,7 +171,7 @@ class EstimationProblem:
 def prepare_problem(
     model: Model,
     experiments: Experiment | Sequence[Experiment],
-    noise: Mapping[str, float | GrowingNoise] | NoiseModel | None,
+    noise: Mapping[str, float | str | GrowingNoise] | NoiseModel | None,
     options: FitOptions,
     *,
     quiet: Experiment | Sequence[Experiment] = (),

@@ -388,7 +388,7 @@ def _estimate_each(
     # A piece begins in motion; it is short, so that no shorter part comes first. The constants of the whole are where it starts: a piece
     # of a steady run has little to explain, and no other start is asked for that.
     options_of_whole = FitOptions.from_data(whole.provenance.options)
-    options = replace(options_of_whole, at_rest=False, progressive=False, other_starts=0)
+    options = replace(options_of_whole, at_rest=False, progressive=False, other_starts=0, exchange=False)
     estimates: list[ConstantsEstimate | None] = []
     for piece in pieces:
         result = fit(whole.model, piece, noise=restore_noise(whole), options=options)

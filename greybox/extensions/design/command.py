@@ -306,7 +306,7 @@ DESIGN = Command(
         ),
         Study.estimation.but(help="Records taken so far: needed with discovery.json, fitted with a model."),
         *(*RIG, MODEL_VALUES, OWN.goal, OWN.criterion, OWN.counted, OWN.rivals, OWN.sensors),
-        Study.noise.but(help=f"{SENSOR_NOISE} [default: that of the fit]"),
+        Study.noise.but(kind=Numbers("OUTPUT=STD", "x=2e-7"), help=f"{SENSOR_NOISE} [default: that of the fit]"),
         *READING_LIKE,
         Study.sampling_time.but(help="Seconds between rows. [default: as measured]"),
         Study.duration.but(help="Duration of the record. [default: as measured]"),
@@ -353,7 +353,9 @@ CAMPAIGN = Command(
         Study.model.but(help="Name of the plain model, or its file."),
         Study.estimation.but(help="Records that were taken before."),
         *(*RIG, MODEL_VALUES, OWN.rig, OWN.experiments, OWN.width),
-        Study.noise.but(help=f"{SENSOR_NOISE} Needed for each sensor that is installed."),
+        Study.noise.but(
+            kind=Numbers("OUTPUT=STD", "x=2e-7"), help=f"{SENSOR_NOISE} Needed for each sensor that is installed."
+        ),
         *READING_LIKE,
         Study.sampling_time.but(help="Seconds between rows."),
         Study.duration.but(help="Duration of each record."),

@@ -609,7 +609,8 @@ def _write_estimated_level(noise: FitNoise, output: str) -> str:
     low, high = noise.interval(output)
     known = math.log(high / noise.std[output]) < wording.NOISE_REACH
     ends = f" [{low:.3g}, {high:.3g}]" if known else " (poorly determined)"
-    return f"{noise.std[output]:.3g}{ends} {noise.units[output]} from the innovations"
+    source = "estimated with the parameters" if output in noise.named else "from the innovations"
+    return f"{noise.std[output]:.3g}{ends} {noise.units[output]} {source}"
 
 
 # Sentences of the transcriptions: how a solution was searched for, and why so (goes on after "chosen because").

@@ -74,6 +74,8 @@ def _write_other_answer(finding: Finding) -> str:
     """Another set of values that makes the same run, and what decides."""
     v = finding.values
     values = ", ".join(f"{name} = {value_with_unit(value, v['units'][name], 4)}" for name, value in v["values"].items())
+    if v.get("equal") and v["exchanged"]:
+        return f"{_name_exchanged(v)} and start equal, where no record tells them apart: what is expected is asked where they differ"
     sensor = f"a sensor for {' or '.join(v['told_by'])}" if v["told_by"] else "another sensor"
     more = f" ({v['count']} such answers)" if v["count"] > 1 else ""
     return f"{_name_exchanged(v)}: {values} makes the same run{more}; a bound, a prior or {sensor} decides"

@@ -168,6 +168,7 @@ EXPORT long integrate(long n, int is_even, double tolerance, const double *is_li
     int pivot[NX];
     double next = carry[0], factored = NAN, before = 1;
     int jacobian_is_fresh = 0, has_jacobian = 0;
+    long steps_left = MOST_STEPS + STEPS_AN_INTERVAL * n;
 #ifdef NB
     v dx[NX * NB], dk[STAGES][NX * NB], moved[NX * NB];
 #endif
@@ -204,11 +205,11 @@ EXPORT long integrate(long n, int is_even, double tolerance, const double *is_li
         if (!(next > 0) || !(state > 0))
             next = state > 0 && rate > 0 ? FIRST_SHARE * sqrt(state / rate) : FIRST_SHARE * length;
         jacobian_is_fresh = 0, has_jacobian = 0;
-        for (long count = 0; done < length; count++) {
+        while (done < length) {
             const double left = length - done;
             /* The last two steps of an interval are equally long: no tiny one is left over. */
             const double step = next >= left ? left : 2 * next > left ? left / 2 : next;
-            if (count == MOST_STEPS || !(step > SMALLEST_STEP * length))
+            if (steps_left-- <= 0 || !(step > SMALLEST_STEP * length))
                 return row + 1;
             if (!has_jacobian) {
                 jacobian_of(&c, x, u0, j); /* input inside the interval moves the Jacobian little */

@@ -30,8 +30,10 @@ FLOOR = 1e-3
 MATES = 1e-5
 # The first step moves the states by about this share of themselves.
 FIRST_SHARE = 1e-3
-# Steps of one interval, and the shortest of them as a share of it: a run that asks for more does not go on.
+# Steps of a run, refused ones included, and what comes to them for each interval; the shortest step as a share of its interval. A run
+# that asks for more has run away, and does not go on.
 MOST_STEPS = 20_000
+STEPS_AN_INTERVAL = 100
 SMALLEST_STEP = 1e-13
 # A step is as long as would make the error of the next one (SAFETY)^4 of what is allowed, and stays as long as it is unless it may grow by
 # KEPT_GROWTH: with another length comes another matrix to factorise.
@@ -177,7 +179,7 @@ class AdaptiveKernel(KernelInParts):
         dxs: np.ndarray,
     ) -> None:
         """The same in Python, line by line."""
-        run = _NumpyRun(self, arguments, carry)
+        run = _NumpyRun(self, arguments, carry, MOST_STEPS + STEPS_AN_INTERVAL * len(u))
         with np.errstate(all="ignore"):  # what is not finite ends the run
             for row in range(len(u)):
                 xs[row], dxs[row] = x, dx
@@ -211,7 +213,8 @@ class AdaptiveKernel(KernelInParts):
         constants = {
             **{"NX": self.sizes.nx, "NU": self.sizes.nu, "NJ": len(row), "STAGES": esdirk.STAGES},
             **{"GAMMA": float(esdirk.GAMMA), "ORDER": esdirk.ERROR_ORDER, "FLOOR": FLOOR, "MATES": MATES},
-            **{"FIRST_SHARE": FIRST_SHARE, "MOST_STEPS": MOST_STEPS, "SMALLEST_STEP": SMALLEST_STEP, "SAFETY": SAFETY},
+            **{"FIRST_SHARE": FIRST_SHARE, "MOST_STEPS": MOST_STEPS, "STEPS_AN_INTERVAL": STEPS_AN_INTERVAL},
+            **{"SMALLEST_STEP": SMALLEST_STEP, "SAFETY": SAFETY},
             **{"KEPT_GROWTH": KEPT_GROWTH, "MOST_ITERATIONS": MOST_ITERATIONS, "NEWTON_SHARE": NEWTON_SHARE},
             **{"SLOW": SLOW, "DIVERGING": DIVERGING, "MOST_TANGENT_ITERATIONS": MOST_TANGENT_ITERATIONS},
             **{"TANGENT_CHANGE": TANGENT_CHANGE, "FEW_STATES": FEW_STATES},
@@ -265,8 +268,9 @@ class _Matrix(NamedTuple):
 class _NumpyRun:
     """Steps one after the other; ``carry`` (1 + nx) is the length of the next one and the largest size of each state so far."""
 
-    def __init__(self, kernel: AdaptiveKernel, arguments: KernelArguments, carry: np.ndarray) -> None:
+    def __init__(self, kernel: AdaptiveKernel, arguments: KernelArguments, carry: np.ndarray, steps: int) -> None:
         self.kernel, self.arguments, self.carry, self.before = kernel, arguments, carry, 1.0
+        self.steps_left = steps
 
     def rates(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         return call_function(self.kernel._rates, x, u, self.arguments.p)[0].ravel()
@@ -303,7 +307,8 @@ class _NumpyRun:
         if not (self.carry[0] > 0 and state > 0):
             self.carry[0] = FIRST_SHARE * (np.sqrt(state / rate) if state > 0 and rate > 0 else length)
         done, jacobian, matrix, is_fresh = 0.0, None, None, False
-        for _ in range(MOST_STEPS):
+        while self.steps_left > 0:
+            self.steps_left -= 1
             left = length - done
             step = left if self.carry[0] >= left else left / 2 if 2 * self.carry[0] > left else self.carry[0]
             if not step > SMALLEST_STEP * length:

@@ -27,6 +27,7 @@ from tests.support.exchange_plants import (
     softened_lags,
     three_lags,
     two_lags,
+    two_lags_record,
 )
 from tests.support.findings import find
 
@@ -185,6 +186,15 @@ def test_the_coefficients_at_rest_are_those_of_the_response_and_its_start():
         moved = p.copy()
         moved[:, k] *= np.exp(step)
         assert (found.at(moved, np.arange(3))[0] - values) / step == pytest.approx(slopes[:, :, k], rel=1e-5, abs=1e-8)
+
+
+def test_a_check_expects_an_exchange_of_lags_that_start_equal():
+    """Their slopes are equal there; a record determines both all the same, as it does where they differ."""
+    equal, apart = (check(two_lags(tau1=tau, tau2=0.2), two_lags_record(0.3, 0.1, 0)) for tau in (0.2, 0.3))
+    assert equal.complete and apart.complete
+    (seen,) = equal.other_answers
+    assert seen.values["equal"] and seen.values["exchanged"] == ["tau1", "tau2"]
+    assert not apart.other_answers[0].values["equal"]
 
 
 def test_a_check_and_a_fit_name_the_other_answer():
