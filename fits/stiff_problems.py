@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from types import SimpleNamespace
@@ -47,7 +48,8 @@ def tanh(value: Any) -> Any:
 class StiffProblem:
     """Rates of states with constants and inputs, where they begin, what is measured when, and how noisy.
 
-    ``noise``: standard deviation over the range of each measured state. ``free``: constants that are fitted, all where none is named.
+    ``noise``: standard deviation over the range of each output. ``free``: constants that are fitted, all where none is named. ``read``:
+    formulas of the outputs that are no states.
     """
 
     rates: Rates
@@ -58,6 +60,7 @@ class StiffProblem:
     inputs: Mapping[str, np.ndarray]
     free: tuple[str, ...] = ()
     noise: float = 0.02
+    read: Mapping[str, Callable[[Any, Any], Any]] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -70,7 +73,7 @@ class StiffProblem:
             "stiff",
             states=[gb.State(name, "1", start) for name, start in self.beginning.items()],
             inputs=[gb.Input(name, "1") for name in self.inputs],
-            outputs=[gb.Output(name, "1") for name in self.measured],
+            outputs=[gb.Output(name, "1", self._equation(name)) for name in self.measured],
             parameters=[gb.Parameter(n, "1", v, (0.0, np.inf)) for n, v in self.constants.items()],
             balances=lambda x, u, p: [
                 gb.Balance(name, "1", 1, name, rate=rate) for name, rate in self.rates(x, u, p).items()
@@ -78,8 +81,12 @@ class StiffProblem:
         )
         return model.fix(*(n for n in self.constants if n not in self.names))
 
+    def _equation(self, name: str) -> Callable[[Any, Any, Any], Any] | None:
+        formula = self.read.get(name)
+        return formula and (lambda x, u, p: formula(x, p))
+
     def run(self, constants: Mapping[str, float]) -> np.ndarray:
-        """The measured states (N, ny) at every time, by an independent solver; the inputs are held from row to row."""
+        """The outputs (N, ny) at every time, by an independent solver; the inputs are held from row to row."""
         names, p = list(self.beginning), SimpleNamespace(**{**self.constants, **constants})
 
         def slope(_: float, y: np.ndarray, u: Any) -> list[float]:
@@ -107,7 +114,8 @@ class StiffProblem:
             if not run.success:
                 return np.full((len(self.time), len(self.measured)), np.nan)
             rows += list(run.y.T[1:])
-        return np.array(rows)[:, [names.index(n) for n in self.measured]]
+        states = SimpleNamespace(**dict(zip(names, np.array(rows).T, strict=True)))
+        return np.column_stack([self.read.get(n, lambda x, _, n=n: getattr(x, n))(states, p) for n in self.measured])
 
     @cached_property
     def truth(self) -> np.ndarray:
@@ -460,17 +468,25 @@ def fit_from(problem: StiffProblem, start: Mapping[str, float]) -> tuple[float, 
     return ended / problem.squares({}), str(found.status)
 
 
-def study(name: str, random: int) -> tuple[list[bool], str]:
+def study(problem: StiffProblem, name: str, random: int) -> tuple[list[bool], str]:
     """Whether the fits from the truth, from three times off and from random starts reached the optimum, and the line of the table."""
-    problem, generator = PROBLEMS[name], np.random.default_rng(1)
+    generator = np.random.default_rng(1)
     starts = [problem.draw_start(1.0, None), problem.draw_start(3.0, None)]
     starts += [problem.draw_start(RANDOM_FACTOR, generator) for _ in range(random)]
-    ends = [fit_from(problem, start) for start in starts]
+    ends, seconds = [], []
+    for start in starts:
+        began = time.process_time()
+        ends.append(fit_from(problem, start))
+        seconds.append(time.process_time() - began)
     reached = [ratio <= 1 for ratio, _ in ends]
-    missed = "; ".join(f"{status}, {ratio:.3g} times" for ratio, status in ends if not ratio <= 1)
+    missed: dict[str, int] = {}
+    for text in (f"{status}, {ratio:.3g} times" for ratio, status in ends if not ratio <= 1):
+        missed[text] = missed.get(text, 0) + 1
+    counted = "; ".join(text if count == 1 else f"{text} ({count})" for text, count in missed.items())
     words = ["yes" if is_there else "no" for is_there in reached[:2]]
     size = f"{len(problem.beginning)}, {len(problem.names)}"
-    return reached, f"| {name} | {size} | {words[0]} | {words[1]} | {sum(reached[2:])} of {random} | {missed} |"
+    drawn = f"{sum(reached[2:])} of {random}"
+    return reached, f"| {name} | {size} | {words[0]} | {words[1]} | {drawn} | {max(seconds):.0f} | {counted} |"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -479,7 +495,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", choices=list(PROBLEMS), action="append", help="this problem alone; may be repeated")
     given = parser.parse_args(arguments)
     for name in given.only or PROBLEMS:
-        sys.stdout.write(study(name, given.random)[1] + "\n")
+        sys.stdout.write(study(PROBLEMS[name], name, given.random)[1] + "\n")
         sys.stdout.flush()
 
 

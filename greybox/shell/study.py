@@ -171,7 +171,7 @@ class Study:
     process_noise = Option(kinds.Numbers(bare="estimated"), "--process-noise STATE[=VALUE]", "process_noise.",
         "Add process noise to a state. The fit then minimises the prediction error with a Kalman filter and estimates the"
         " intensity of the noise; VALUE fixes the intensity, in the state's unit over sqrt(s).", completion.states)
-    noise = Option(kinds.NoiseLevels("OUTPUT=STD", "x=2e-7"), "--noise OUTPUT=STD", "noise.",
+    noise = Option(kinds.NamedLevels("OUTPUT=STD", "x=2e-7"), "--noise OUTPUT=STD", "noise.",
         "Standard deviation of the sensor noise of an output, in the model's unit; or a name, which outputs of one unknown noise share:"
         " x1=a x2=a. [default: estimated]", completion.outputs)
     common_noise = Option(kinds.Switch(), "--common-noise", "estimation.common_noise",

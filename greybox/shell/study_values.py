@@ -445,7 +445,7 @@ class Numbers(Table):
 
 
 @dataclass(frozen=True)
-class NoiseLevels(Numbers):
+class NamedLevels(Numbers):
     """A standard deviation for each output, or the name of a level that outputs have in common: ``x=2e-7``, ``x=a``."""
 
     def value_of(self, option: str, name: str, text: str) -> float | str:  # type: ignore[override]

@@ -7,7 +7,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from greybox.model import Model
-from greybox.simulation.integrators.discretisation import DiscretisationPolicy, choose_substeps, discretise, follow_step
+from greybox.simulation.integrators.discretisation import (
+    ADAPTIVE,
+    DiscretisationPolicy,
+    choose_implicit_method,
+    choose_substeps,
+    discretise,
+    follow_step,
+)
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.make_kernel import make_kernel
@@ -67,6 +74,11 @@ def run_freely(
         y, x = _run(kernel, step, record, p, x0)
         if _has_settled(before, y, MAX_CHANGE):
             break
+    # Implicit steps of one length that jump out of the equations (a root of what is used up) say nothing of the model.
+    if method == "automatic" and step.implicit and not substeps and not np.isfinite(y).all():
+        stable = choose_implicit_method(model.system, record.lengths, alike=False)
+        if stable == ADAPTIVE and not step.adaptive:
+            return run_freely(model, record, p, x0, method=stable, policy=policy)
     return y, x, step
 
 
