@@ -367,9 +367,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             sys.stdout.flush()
             lines.append(line)
             reached.append(each)
-        counts = [
-            sum(ends) for ends in ((r[0] for r in reached), (r[1] for r in reached), (any(r[2:]) for r in reached))
-        ]
+        held, near, best = (sum(ends) for ends in zip(*((r[0], r[1], any(r[2:])) for r in reached), strict=True))
         summary = (
             f"{held} of {len(reached)} held, {near} found from three times off, {best} from the best of {given.random}"
         )

@@ -229,6 +229,10 @@ class FitOptions:
     ----------
     at_rest
         Every record starts at the states the model declares, instead of estimated ones (but for states with `State.free_start`).
+    settled
+        Every record starts where the model comes to rest from there, under the inputs before the record (its first ones, where it tells
+        no others) and its conditions: a rig under a load, a culture before its experiment. The state and its slopes along the constants
+        are found anew with them.
     method
         Discretisation: ``automatic``, ``exact``, ``rk4``, ``midpoint``, ``radau`` ...
     substeps
@@ -290,6 +294,7 @@ class FitOptions:
     hessian: str = "gauss-newton"
     policy: EstimationPolicy = DEFAULT_POLICY
     at_rest: bool = False
+    settled: bool = False
     loss: str = "squares"
     per_experiment: tuple[str, ...] = ()
     common_noise: bool = False
@@ -297,7 +302,7 @@ class FitOptions:
     exchange: bool = True
 
     KEYS: ClassVar[str] = """
-        method substeps progressive iterations tolerance thorough transcription arc_length hessian at_rest loss per_experiment
+        method substeps progressive iterations tolerance thorough transcription arc_length hessian at_rest settled loss per_experiment
         common_noise other_starts exchange policy
         """
 
@@ -308,6 +313,13 @@ class FitOptions:
             (self.per_experiment,) if isinstance(self.per_experiment, str) else tuple(self.per_experiment),
         )
         self.to_loss()
+        if self.settled:
+            if self.arc_length or self.transcription.startswith("collocation"):
+                raise ModelError(
+                    "settled: collocation, and arcs with an initial state each, do not begin where a run comes to rest; take"
+                    " transcription 'single' or 'multiple', or leave settled out"
+                )
+            object.__setattr__(self, "at_rest", True)
         if self.other_starts < 0:
             raise ModelError(
                 f"other_starts {self.other_starts}: give how many other starts are searched, or 0 for none"
@@ -355,7 +367,9 @@ class FitOptions:
     @property
     def integration(self) -> FitOptions:
         """The same choices of how a model is integrated and how records begin; all others are the usual ones."""
-        return FitOptions(at_rest=self.at_rest, method=self.method, substeps=self.substeps, policy=self.policy)
+        return FitOptions(
+            at_rest=self.at_rest, settled=self.settled, method=self.method, substeps=self.substeps, policy=self.policy
+        )
 
     @property
     def robust(self) -> bool:

@@ -57,7 +57,14 @@ def simulate(study: Study) -> Answer:
             print_note(f"note: {experiment.source}: {gap}")
     else:
         experiment = _signal(plant, chosen, study, generator)
-    run = simulate_model(plant, experiment, initial=dict(study.initial), method=study.method, substeps=study.substeps)
+    run = simulate_model(
+        plant,
+        experiment,
+        initial=dict(study.initial),
+        settled=study.settled,
+        method=study.method,
+        substeps=study.substeps,
+    )
     if run.overflow is not None:
         exit_with_error(
             f"{plant.title}: the simulation overflows {run.overflow:.4g} s after its start; nothing was written",
@@ -176,6 +183,7 @@ SIMULATE = Command(
             Study.band,
             Study.offset,
             Study.initial,
+            Study.settled,
             Study.draws,
         ),
         Study.duration.but(help="Duration of the test signal."),

@@ -197,6 +197,9 @@ class Study:
         completion.signals)
     at_rest = Option(kinds.Switch(), "--at-rest", "records.at_rest",
         "Start each record at the initial state of the model instead of estimating the initial state.")
+    settled = Option(kinds.Switch(), "--settled", "records.settled",
+        "Start each record where the model comes to rest under its first inputs and conditions: a rig under a load, a culture before its"
+        " experiment.")
     free_decay = Option(kinds.Switch(), "--free-decay", "records.free_decay",
         "Accept records with zero input throughout (free response of the plant).")
     split_holes = Option(kinds.Switch(), "--split-holes", "records.split_holes",
@@ -570,7 +573,7 @@ ESTIMATING = (
     *(Study.at_rest, *(option for option in READING if option is not Study.free_decay)),
 )
 # What a fit takes.
-INTEGRATING = (Study.effects, Study.ties, Study.free_decay, Study.method, Study.substeps)
+INTEGRATING = (Study.effects, Study.ties, Study.free_decay, Study.settled, Study.method, Study.substeps)
 FITTING = (
     *(*ESTIMATING, *INTEGRATING, Study.priors, Study.per_experiment, Study.schedules, Study.process_noise),
     *(Study.common_noise, Study.quiet, Study.validation, Study.skip, Study.beginning, Study.loss),

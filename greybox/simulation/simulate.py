@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.base import DataError, ModelError, nearest, write_file
+from greybox.base import TINY, DataError, ModelError, nearest, write_file
 from greybox.base.numerics import REFERENCE_TOLERANCE, ROWS_AT_A_TIME
 from greybox.data.columns import ColumnMapping
 from greybox.data.experiment import UNNAMED, Experiment
@@ -29,6 +29,7 @@ from greybox.simulation.integrators.step import Step
 from greybox.simulation.plant import Plant, PlantModel, as_model, make_plant_step
 from greybox.simulation.plant_kernel import PlantKernel
 from greybox.simulation.records import to_record
+from greybox.simulation.settled_start import SettledStart, find_inputs_before
 
 # The inputs of a file alone, for simulating where nothing was measured.
 
@@ -146,6 +147,7 @@ def simulate(
     inputs: Experiment | Mapping[str, ArrayLike],
     *,
     initial: Mapping[str, float] | None = None,
+    settled: bool = False,
     method: str = "automatic",
     substeps: int = 0,
     policy: SimulationPolicy = SIMULATION_POLICY,
@@ -160,6 +162,8 @@ def simulate(
         An `Experiment`, of which outputs are ignored, or ``{"time": ..., "u": ...}`` with arrays (N,), held between samples.
     initial
         Values of states at the first row, by name; the others are as declared.
+    settled
+        Begin where the model comes to rest from there under the inputs before the first row, or under its first inputs.
     method, substeps
         As in `greybox.FitOptions`; 0 substeps halves the step until nothing visible changes.
     policy
@@ -198,6 +202,13 @@ def simulate(
         step = make_plant_step(model, method, substeps)
         y, x = PlantKernel(model).simulate(record, np.empty((1, 0)), p, x0)
         return _to_simulation(model, experiment, y, x, step)
+    if settled:
+        before = find_inputs_before(record, model.system.u.numel())[None]
+        rest, _ = SettledStart(model.system, before, max(record.duration, TINY)).at(p, 0, np.empty(0, int))
+        given = [s.name in (initial or {}) for s in model.all_states]
+        x0 = np.where(given, x0, rest)
+        if not np.isfinite(x0).all():
+            raise ModelError(f"{model.title}: it does not come to rest under its first inputs; leave settled out")
     y, x, step = run_freely(model, record, p, x0, method=method, substeps=substeps, policy=policy)
     if record.before is None and model.system.delays:
         # What the run took for its delayed inputs before the first row is told to whoever fits it, at rest or not.

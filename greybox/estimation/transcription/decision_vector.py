@@ -12,6 +12,7 @@ import numpy as np
 from greybox.base.errors import ModelError, is_slip_of, nearest
 from greybox.base.numerics import AT_BOUND, ROUNDED_BOUND
 from greybox.model import Model, Parameter
+from greybox.simulation.settled_start import SettledStart
 
 # Operating conditions: constants that an experiment brings itself, such as the supply pressure it was run at.
 
@@ -117,6 +118,9 @@ class InitialStates:
 
     scale: np.ndarray
     """What a step of one in ``z`` changes each state by (nx,)."""
+
+    settled: SettledStart | None = None
+    """Where the model comes to rest before each record, in the place of the declared start."""
 
 
 @dataclass(frozen=True)
@@ -413,15 +417,18 @@ class DecisionVector:
 
     def compute_initial_state(self, z: np.ndarray, p: np.ndarray, experiment: int) -> tuple[np.ndarray, np.ndarray]:
         """Initial state (nx,) of one experiment and its slopes (nx, L) along `columns`."""
-        # The declared start and its slope along all parameters, unless that is constant.
+        # The declared start and its slope along the free constants, unless that is constant.
         x0, slope = self.model.system.constant_start, None
-        if x0 is None:
+        if self.initial.settled is not None:
+            x0, slope = self.initial.settled.at(p, self.groups[experiment], self.which)
+        elif x0 is None:
             x0, slope = (np.asarray(value) for value in self.model.system.start_function(p))
+            slope = slope[:, self.which]
         x0 = np.array(x0).ravel()
         n, free = len(self.which), self.free_states
         dx0 = np.zeros((len(x0), n + len(free) + len(self.estimated_noise)))
         if slope is not None:
-            dx0[:, :n] = slope[:, self.which] * self.slopes(p, experiment)
+            dx0[:, :n] = slope * self.slopes(p, experiment)
         # An estimated state is guess + scale z; the declared one and its slope give way.
         scaled_states = self.split(z).initial_states[experiment]
         x0[free] = self.initial.guess[experiment, free] + self.initial.scale[free] * scaled_states
@@ -520,7 +527,7 @@ class ExperimentView:
         self.fixed = apply_conditions(v.fixed, v.conditions[experiment]) if v.conditions else v.fixed
         self.constant_places = self.which, np.arange(len(self.constants))
         self.empty_slopes = np.zeros((len(self.fixed), len(self.columns)))
-        start = v.model.system.constant_start
+        start = None if v.initial.settled else v.model.system.constant_start
         self.start: np.ndarray | None = None
         if start is not None:
             guess, scale = v.initial.guess[experiment, self.states], v.initial.scale[self.states]

@@ -10,7 +10,7 @@ from enum import StrEnum
 import casadi as ca
 import numpy as np
 
-from greybox.base import Finding, ModelError, Severity, nearest
+from greybox.base import TINY, Finding, ModelError, Severity, nearest
 from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise import AutoRegression, GrowingNoise, NoiseModel, estimate_noise
@@ -29,6 +29,7 @@ from greybox.simulation.kernel.record import Record
 from greybox.simulation.plant import PlantModel, make_plant_step
 from greybox.simulation.plant_kernel import PlantKernel
 from greybox.simulation.records import to_experiments, to_record
+from greybox.simulation.settled_start import SettledStart, find_inputs_before
 
 
 @dataclass(frozen=True)
@@ -215,6 +216,8 @@ def prepare_problem(
         dead = [o.name in constant for o in model.outputs]
         records = tuple(replace(r, y=np.where(dead, np.nan, r.y)) for r in records)
     beginning = guess_initial_states(model, records, options.at_rest, [e.conditions for e in group])
+    if options.settled:
+        beginning = settle(model, records, beginning, [e.conditions for e in group])
     if initial:
         beginning = apply_initial_guess(model, beginning, initial)
     p, lengths = np.array(list(model.values.values())), np.unique(np.concatenate([r.lengths for r in records]))
@@ -319,6 +322,25 @@ def guess_initial_states(
     begins = {s.name for s in (model.states if isinstance(model, PlantModel) else model.all_states)}
     free = [s.free_start or (not at_rest and s.name in begins) for s in model.all_states]
     return InitialStates(guess, np.array(free, bool), scale)
+
+
+def settle(
+    model: Model, records: Sequence[Record], beginning: InitialStates, conditions: Sequence[Mapping[str, float]]
+) -> InitialStates:
+    """``beginning`` where the model comes to rest before each record, under its ``conditions``. Raises ModelError where it does not."""
+    inputs, known = model.system.u.numel(), model.values
+    before = np.array([find_inputs_before(record, inputs) for record in records]).reshape(len(records), inputs)
+    settled = SettledStart(model.system, before, max(max(r.duration for r in records), TINY))
+    guess, nothing = beginning.guess.copy(), np.empty(0, int)
+    for e, given in enumerate(conditions):
+        p = np.array([given.get(name, value) for name, value in known.items()], float)
+        guess[e] = np.where(beginning.free, guess[e], settled.at(p, e, nothing)[0])
+    if not np.isfinite(guess).all():
+        raise ModelError(
+            f"{model.title}: it does not come to rest under its first inputs at the start values; leave settled out, fix what drives it, or"
+            " give other start values"
+        )
+    return replace(beginning, guess=guess, settled=settled)
 
 
 # States at either side of play: so many values of one between its ends are tried at a time ...
