@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from greybox.base.faces import lazy_face
 
 if TYPE_CHECKING:
-    from greybox.model.balance import Balance
+    from greybox.model.balance import Balance, Block
     from greybox.model.characteristic import Characteristic
     from greybox.model.effect import DryFriction, Effect
     from greybox.model.equations import equations_text

@@ -37,6 +37,8 @@ from greybox.model.system import (
     named_symbols,
 )
 
+# What can be done where a body cannot be held still.
+SMOOTHED = "add the effect in its smoothed form, effect.smoothed(0.01), with the speed below which it is viscous"
 NOWHERE = Site("", PlaceKind.BALANCE, "")
 # Functions of an effect that need a place of that kind.
 _ACTS = {
@@ -57,7 +59,7 @@ def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
     base = _plant_balances(statement)
     units = _units_by_word(statement, base)
     sites = list_sites(statement.states, statement.inputs, statement.outputs, base)
-    relations = {b.name for b in base if stores_nothing(b)}
+    relations = {b.name: b.state for b in base if stores_nothing(b)}
     placed: list[PlacedEffect] = []
     for effect in statement.effects:
         if any(effect.name == other.effect.name for other in placed):
@@ -84,7 +86,7 @@ def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
     return tuple(placed)
 
 
-def _check_place(effect: EffectEquations, site: Site, relations: Iterable[str]) -> None:
+def _check_place(effect: EffectEquations, site: Site, relations: Mapping[str, str]) -> None:
     """Refuse an effect at a place that does not have what it changes. Raises ModelError."""
     needed = [kind for kind, acts in _ACTS.items() if effect.site and any(getattr(effect, act) for act in acts)]
     if needed and site.kind not in needed:
@@ -93,9 +95,12 @@ def _check_place(effect: EffectEquations, site: Site, relations: Iterable[str]) 
             f"effect {effect.name!r} acts at {' or '.join(needed)}s, and {site.name!r} is {article} {site.kind}; name another place"
         )
     if effect.dry and site.name in relations:
-        raise ModelError(
-            f"effect {effect.name!r} can hold a body still, and balance {site.name!r} stores nothing; name a balance that does"
-        )
+        moves = site.states.get("velocity", relations[site.name])
+        if moves in relations.values():
+            raise ModelError(
+                f"effect {effect.name!r} can hold a body still, and balance {site.name!r} stores nothing; give it a storage, or"
+                f" {SMOOTHED}"
+            )
 
 
 def plant_sites(statement: Statement) -> tuple[Site, ...]:
@@ -161,7 +166,16 @@ def build_system(statement: Statement) -> System:
         replace(d, sliding=eliminate(d.sliding, algebraic), static=eliminate(d.static, algebraic))
         for d in equations.dry
     ]
-    direction = ca.SX.sym("direction", len(equations.dry))
+    shown = ca.vertcat(*outputs.values())
+    held = {d.effect: d for d in dry if stores_nothing(balances[d.balance])}
+    if held:
+        force = {name: ca.SX.sym(name) for name in held}
+        free = [b.with_terms_replaced({n: f for n, f in force.items() if held[n].balance == b.name}) for b in stated]
+        solved = _solve_relations(statement, free, plant_symbols, p)
+        felt = [_without_relations(b, solved) for b in stated if b.state not in relations]
+        ordered, moved = _move_frictions(statement, held, force, felt, eliminate(shown, solved), order, symbols_x)
+        dry = [moved.get(d.effect, d) for d in dry]
+    direction = ca.SX.sym("direction", len(dry))
     storages, sums = ca.SX.ones(len(order)), ca.SX.zeros(len(order))
     rows = [order.index(b.state) for b in ordered]
     storages[rows] = ca.vertcat(*[ca.SX(b.storage) for b in ordered])
@@ -179,7 +193,7 @@ def build_system(statement: Statement) -> System:
         balances=ordered,
         storages=storages,
         rhs=rhs,
-        outputs=eliminate(ca.vertcat(*outputs.values()), algebraic),
+        outputs=eliminate(shown, algebraic),
         start=start,
         diffusion=diffusion,
         dry=tuple(dry),
@@ -189,7 +203,7 @@ def build_system(statement: Statement) -> System:
         effects=effects,
         algebraic=algebraic,
         stated_balances=stated,
-        stated_outputs=ca.vertcat(*outputs.values()),
+        stated_outputs=shown,
     )
 
 
@@ -212,8 +226,39 @@ def _solve_relations(
 def _without_relations(balance: Balance, algebraic: Sequence[AlgebraicState]) -> Balance:
     if not algebraic:
         return balance
-    terms = {name: eliminate(ca.SX(term), algebraic) for name, term in balance.terms.items()}
-    return Balance(balance.name, balance.unit, eliminate(ca.SX(balance.storage), algebraic), balance.state, **terms)
+    return balance.with_expressions(lambda value: eliminate(ca.SX(value), algebraic))
+
+
+def _move_frictions(
+    statement: Statement,
+    dry: Mapping[str, DryFrictionTerm],
+    force: Mapping[str, ca.SX],
+    balances: Sequence[Balance],
+    outputs: ca.SX,
+    states: Sequence[str],
+    x: ca.SX,
+) -> tuple[tuple[Balance, ...], dict[str, DryFrictionTerm]]:
+    """Dry friction of relations at the balances of the velocities that it stops: these balances, and the friction there by its effect.
+
+    ``balances`` and ``outputs`` have a symbol in the place of each ``force``. Raises ModelError where another balance or an output feels
+    it too: a body that is held pushes them by a force that nobody knows.
+    """
+    forces = ca.vertcat(*force.values())
+    moved: dict[str, DryFrictionTerm] = {}
+    result = [b.with_expressions(lambda value: ca.substitute(ca.SX(value), forces, 0 * forces)) for b in balances]
+    for name, d in dry.items():
+        # d(sum)/d(force) of a balance: its storage over the inertia behind the relation; 0 where the force is not felt.
+        slopes = [ca.jacobian(sum(map(ca.SX, b.terms.values()), ca.SX(0)), force[name]) for b in balances]
+        t = next(k for k, b in enumerate(balances) if b.state == states[d.state])
+        felt = [k for k, slope in enumerate(slopes) if not slope.is_zero()]
+        if felt != [t] or ca.depends_on(ca.vertcat(outputs, d.sliding, d.static, slopes[t]), forces):
+            raise ModelError(
+                f"model {statement.name!r}: effect {name!r} can hold a body still, and through balance {d.balance!r}, which stores nothing,"
+                f" more than {states[d.state]} feels what holds it; {SMOOTHED}"
+            )
+        moved[name] = replace(d, balance=balances[t].name, sliding=slopes[t] * d.sliding, static=slopes[t] * d.static)
+        result[t] = result[t].with_term(name, -moved[name].sliding * ca.sign(x[d.state]))
+    return tuple(result), moved
 
 
 @dataclass
@@ -238,7 +283,7 @@ class _Equations:
         effect, outputs = placed.effect, self.outputs
         # An effect at a sensor sees its reading; one elsewhere that of the first output.
         sensor = outputs[placed.site if placed.site in outputs else self.statement.outputs[0].name]
-        seen = placed.sees_states(x.replaced({"sensor": sensor, **self._balance_sums(placed, u)}))
+        seen = placed.sees_states(x.replaced({"sensor": sensor, **self._balance_sums(placed, u)}), u)
         names = seen, placed.sees_inputs(u), placed.sees_parameters(p)
         # What changes a term or a storage comes before what adds terms: an added term is not changed by its own effect.
         for site, changed in (effect.on_term(*names) if effect.on_term else {}).items():
@@ -260,11 +305,15 @@ class _Equations:
             # Kept apart with the level at which the body sticks: the integrators decide between sliding and sticking. The term in the
             # balance is what a reader sees.
             target = self._balance(placed.site, effect)
-            state, friction = self.states.index(target.state), effect.dry(*names)
-            self.dry.append(
-                DryFrictionTerm(effect.name, placed.site, state, ca.SX(friction.sliding), ca.SX(friction.static))
-            )
-            self.balances[placed.site] = target.with_term(effect.name, -friction.sliding * ca.sign(self.x[state]))
+            moves, friction = placed.place.states.get("velocity") or target.state, effect.dry(*names)
+            sliding, static = ca.SX(friction.sliding), ca.SX(friction.static)
+            if moves in self.states:
+                state = self.states.index(moves)
+                self.dry.append(DryFrictionTerm(effect.name, placed.site, state, sliding, static))
+                velocity = self.x[state]
+            else:  # an input moves as it is told, and nothing holds it
+                velocity = seen.velocity
+            self.balances[placed.site] = target.with_term(effect.name, -friction.sliding * ca.sign(velocity))
         model_names = placed.model_names
         for balance in effect.balances(*names) if effect.balances else ():
             name = f"{effect.name}.{balance.name}"
@@ -287,6 +336,10 @@ class _Equations:
             return {}
         terms = [ca.SX(t) for name, t in balance.terms.items() if name in self.plant_terms[placed.site]]
         velocity = self.plant_symbols[balance.state]
+        if stores_nothing(
+            balance
+        ):  # what is solved for is no load, and an inertia that depends on the velocity of others is one
+            terms = [t for t in terms if not ca.depends_on(t, velocity)]
         inputs = ca.SX(ca.vertcat(*[ca.SX(u[i.name]) for i in self.statement.inputs]))
         symbols = ca.vertcat(*ca.symvar(inputs))
         # What a bearing carries: friction under load grows with these, and not with losses that depend on the velocity.
@@ -308,19 +361,21 @@ def _transform_signals(
     """States, inputs and parameters as the balances see them, and for effects that change them what came to each of these."""
     for placed in effects:  # parameters where they are used
         if placed.effect.on_parameter:
-            used = placed.effect.on_parameter(placed.sees_states(x), placed.sees_inputs(u), placed.sees_parameters(p))
+            used = placed.effect.on_parameter(
+                placed.sees_states(x, u), placed.sees_inputs(u), placed.sees_parameters(p)
+            )
             p = p.replaced({_name_of(name, statement.parameters): value for name, value in used.items()})
     before: dict[str, tuple[NamedValues, NamedValues]] = {}
     for placed in effects:  # inputs on their way in
         if placed.effect.on_input:
             before[placed.effect.name] = x, u
-            names = placed.sees_states(x), placed.sees_inputs(u), placed.sees_parameters(p)
+            names = placed.sees_states(x, u), placed.sees_inputs(u), placed.sees_parameters(p)
             value = placed.effect.on_input(u[placed.site], *names)
             u = u.replaced({placed.site: value})
     for placed in effects:  # states as the model sees them
         if placed.effect.on_state:
             seen = before[placed.effect.name] = x, before.get(placed.effect.name, (x, u))[1]
-            names = placed.sees_states(x), placed.sees_inputs(seen[1]), placed.sees_parameters(p)
+            names = placed.sees_states(x, u), placed.sees_inputs(seen[1]), placed.sees_parameters(p)
             used = placed.effect.on_state(*names)
             x = x.replaced({_name_of(name, statement.states): value for name, value in used.items()})
     return x, u, p, before
@@ -377,6 +432,8 @@ def _start(
         displacement = placed.place.states.get("displacement", by_role)
         if displacement in numbers:
             known["displacement"] = plant[numbers[displacement]]
+        elif displacement in [i.name for i in statement.inputs]:
+            known["displacement"] = ca.SX(0)
         if placed.place.states.get("temperature") in numbers:
             known["temperature"] = plant[numbers[placed.place.states["temperature"]]]
         starts.append(_start_values(placed.states, placed.sees_parameters(p.replaced(known))))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -200,6 +200,39 @@ class Effect:
     def is_of_record(self) -> bool:
         """Whether it says how a record holds an input, and nothing of the plant."""
         return bool(self.hold or self.late)
+
+    def smoothed(self, speed: float) -> Effect:
+        """The same with dry friction that creeps and does not stick: ``-sliding tanh(v / vt)``, with no step at standstill.
+
+        For bodies whose standstill cannot be told from one balance: the joints of an arm, which push one another through its inertias.
+
+        Parameters
+        ----------
+        speed
+            ``vt`` in the unit of the velocity at its site: below it the friction is viscous.
+
+        Returns
+        -------
+        Effect
+            A new effect; the same one where it has no dry friction.
+
+        Examples
+        --------
+        ``arm + gb.effect("coulomb_friction_at_joint_2").smoothed(0.01)``
+        """
+        dry, beside = self.dry, self.terms
+        if dry is None:
+            return self
+
+        def terms(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression | Mapping[str, Expression]:
+            friction = -dry(x, u, p).sliding * ca.tanh(x.velocity / p.vt)
+            added = beside(x, u, p) if beside else 0
+            if isinstance(added, Mapping):
+                return {**added, self.site: added.get(self.site, 0) + friction}
+            return added + friction
+
+        width = shape_parameter("vt", "{velocity}", speed, (0.0, math.inf), "speed below which the friction is viscous")
+        return replace(self, dry=None, terms=terms, parameters=(*self.parameters, replace(width, fixed=True)))
 
 
 # What an effect may bring besides terms: states that are set after each step, delays, and states that relax.

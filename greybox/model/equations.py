@@ -10,6 +10,7 @@ import casadi as ca
 from greybox.base import format_unit
 from greybox.model.algebraic import stores_nothing
 from greybox.model.balance import Balance
+from greybox.model.expressions.printer import MODELICA, Printer
 from greybox.model.expressions.text import expression_text, signed_text
 from greybox.model.model import Model
 from greybox.model.process_noise import intensity_unit
@@ -21,7 +22,7 @@ Line = Callable[[str, str, str], str]  # name, unit, text -> one line of the equ
 _TEXTS: WeakKeyDictionary[System, dict[int, str]] = WeakKeyDictionary()
 
 
-def equations_text(model: Model, width: int = 110) -> str:
+def equations_text(model: Model, width: int = 110, *, in_full: bool = False) -> str:
     """The equations of a model: one balance after the other, each term above its name, then inputs and outputs.
 
     Effects are written out: an added term stands under the effect's name, a changed input, output or parameter shows as what stands in
@@ -33,6 +34,8 @@ def equations_text(model: Model, width: int = 110) -> str:
         The model.
     width
         In characters: a longer balance is written one term a line.
+    in_full
+        Whether what stands behind the name of a `Block` follows.
 
     Returns
     -------
@@ -46,7 +49,21 @@ def equations_text(model: Model, width: int = 110) -> str:
     texts = _TEXTS.setdefault(model.system, {})
     if width not in texts:
         texts[width] = _write_equations(model, width)
-    return texts[width]
+    return "\n".join([texts[width], *(_blocks_in_full(model.system) if in_full else [])])
+
+
+def _blocks_in_full(system: System) -> list[str]:
+    """``joint_1: rigid body = ...`` of each block, after the parts that several places share."""
+    blocks = [(b, name) for b in system.stated_balances for name in b.blocks]
+    terms = [ca.SX(b.terms[name]) for b, name in blocks]
+    names = {s.name(): s.name() for s in ca.symvar(ca.vertcat(*terms))} if blocks else {}
+    printer = Printer(MODELICA, names)
+    printer.count_uses(terms)
+    lines = [
+        f"  {b.name}: {b.blocks[name].name} = {('-' if b.blocks[name].is_negative else '')}({printer.write(term)})"
+        for (b, name), term in zip(blocks, terms, strict=True)
+    ]
+    return [*(f"  {part} = {text}" for part, text in printer.shared), *lines]
 
 
 def _write_equations(model: Model, width: int) -> str:
@@ -108,7 +125,11 @@ def _balance(balance: Balance, width: int) -> list[str]:
     left = "0 = " if stores_nothing(balance) else f"{_storage(balance)} = "
     if not balance.terms:  # a random walk
         return [f"{left}0"]
-    terms = [(*_term(value, len(balance.terms)), name) for name, value in balance.terms.items()]
+    count = len(balance.terms)
+    terms = [
+        (block.is_negative, block.name, name) if (block := balance.blocks.get(name)) else (*_term(value, count), name)
+        for name, value in balance.terms.items()
+    ]
     equation, names = left, " " * len(left)
     for k, (negative, text, name) in enumerate(terms):
         sign = (" - " if negative else " + ") if k else "-" * negative

@@ -328,6 +328,6 @@ def _is_free(model: Model) -> bool:
         return False
     system = model.system
     index = {name: k for k, name in enumerate(system.state_names)}
-    velocities = [index[site.states["velocity"]] for site in motions]
+    velocities = [index[site.states["velocity"]] for site in motions if site.states["velocity"] in index]
     places = [k for k in index.values() if k not in velocities]
     return bool(ca.jacobian(system.rhs[velocities], system.x)[:, places].nnz() == 0) if places else True

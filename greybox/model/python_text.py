@@ -99,5 +99,8 @@ def keywords(entries: Mapping[str, str]) -> list[str]:
 def balance(value: Balance, state: str, writer: Printer, depth: int) -> str:
     """A balance as the call that makes it, its terms written out."""
     head = [literal(value.name), literal(value.unit), writer.write(value.storage), literal(state)]
-    terms = keywords({name: writer.write(term) for name, term in value.terms.items()})
-    return call("Balance", [*head, *terms], depth, len(head))
+    terms = {name: writer.write(term) for name, term in value.terms.items()}
+    for name, block in value.blocks.items():
+        terms[name] = call("Block", [literal(block.label), terms[name], *([literal(block.unit)] if block.unit else [])])
+    moving = [literal(name) for name in value.motion.values() if name]
+    return call("Balance", [*head, *keywords(terms)], depth, len(head)) + (call(".moving", moving) if moving else "")

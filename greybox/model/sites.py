@@ -4,6 +4,10 @@ A *force* is any balance of a velocity: its state has the role ``velocity``, or 
 of its state a speed. Likewise a state in A whose balance is in V is a current, one in K with a balance in W a temperature, and one in m
 with a balance in m^3/s a level. So every body of a drive train may have friction, whatever its balance is called. Seen from a site the
 roles ``velocity`` and ``displacement`` mean the body there; a displacement is the state whose rate is that velocity.
+
+A relation (a balance that stores nothing) of forces is a force as well, where its motion is known: the velocity it is solved for; the one
+whose rate is the acceleration it is solved for; of one solved for a force the only input with the role ``velocity``; or what
+`Balance.moving` says.
 """
 
 from __future__ import annotations
@@ -29,9 +33,9 @@ MOTION, STORE, PRESSURE, HEAT, VOLTAGE, ANGLE, SHAFT, FIRST_INPUT, DRIVE, VALVE,
 ROLE_OF_WORD = {STORE: "store", PRESSURE: "pressure", HEAT: "temperature", VOLTAGE: "current"}
 STORE_ROLES = ("pressure", "level", "upper_head", "lower_head")
 # A prefix does not change what a balance is of: kW and kN are W and N.
-SPEEDS, FORCES = (
+SPEEDS, FORCES, ACCELERATIONS = (
     tuple(parse_unit(unit).dimensions for unit in units)
-    for units in (("m/s", "rad/s"), ("N", "N*m", "m/s^2", "rad/s^2"))
+    for units in (("m/s", "rad/s"), ("N", "N*m", "m/s^2", "rad/s^2"), ("m/s^2", "rad/s^2"))
 )
 ROLES_BY_UNITS = {
     role: (parse_unit(balance).dimensions, parse_unit(state).dimensions)
@@ -61,7 +65,8 @@ class Site:
     label
         What the names of effects there end with: ``coulomb_friction_at_load`` of a balance ``load_torque``.
     states
-        Role -> state, as an effect there sees them; an empty name where the model has no such state at this site.
+        Role -> state, as an effect there sees them; an empty name where the model has no such state at this site. The motion of a relation
+        may be an input.
     inputs
         Role -> input, likewise.
     units
@@ -109,13 +114,14 @@ def list_sites(
 ) -> tuple[Site, ...]:
     """Every balance, input and output of a model as a site, in this order."""
     labels = _short_labels([b.name for b in balances], {i.name for i in inputs} | {o.name for o in outputs})
-    by_name = {s.name: s for s in states}
-    moving = [b for b in balances if _is_motion(b, by_name[b.state]) and not stores_nothing(b)]
+    by_name: dict[str, State | Input] = {s.name: s for s in (*inputs, *states)}
+    motions = _find_motions(states, inputs, balances)
     sites = []
     drives = [i.name for i in inputs if i.role == DRIVE] or [i.name for i in inputs if _takes(DRIVE, i.role)]
     driven = {DRIVE: drives[0]} if drives else {}
     for b in balances:
         state = by_name[b.state]
+        motion = motions.get(b.name, {})
         role = state.role or _role_by_units(b, state)
         roles, units = {role: state.name} if role else {}, {MOTION: b.unit}
         if role == ROLE_OF_WORD[VOLTAGE]:
@@ -125,11 +131,9 @@ def list_sites(
         if role in STORE_ROLES:
             roles[STORE] = state.name
             units[STORE] = units[role] = state.unit
-        if b in moving:
-            displacement = _find_displacement(state, balances) or _by_role("displacement", states, len(moving) == 1)
-            roles |= {"velocity": state.name, "displacement": displacement}
-            units["velocity"] = state.unit
-            units["displacement"] = by_name[displacement].unit if displacement else ""
+        if motion:
+            roles |= motion
+            units |= {role: by_name[name].unit if name else "" for role, name in motion.items()}
         sites.append(Site(b.name, PlaceKind.BALANCE, labels[b.name], roles, driven, units))
     for i in inputs:
         words = (FIRST_INPUT, DRIVE, VALVE)
@@ -188,26 +192,64 @@ def _role_by_units(balance: Balance, state: State) -> str:
     return next((role for role, known in ROLES_BY_UNITS.items() if known == units), "")
 
 
+def _find_motions(
+    states: Sequence[State], inputs: Sequence[Input], balances: Sequence[Balance]
+) -> dict[str, dict[str, str]]:
+    """Balance or relation of forces -> the velocity and the displacement of what they act on, an empty name for one that is not there."""
+    known = [i.name for i in (*states, *inputs)]
+    rates: dict[str, str] = {}
+    for b in (b for b in balances if not stores_nothing(b)):
+        total = ca.SX(sum(b.terms.values(), ca.SX(0)) / b.storage)
+        if total.is_symbolic() and total.name() != b.state:  # d(state)/dt is another signal
+            rates.setdefault(total.name(), b.state)
+    signals = {s.name: s for s in states}
+    given = [i.name for i in inputs if i.role == "velocity"]
+    moving: dict[str, str] = {}
+    for b in balances:
+        for role, name in b.motion.items():
+            if name and name not in known:
+                raise MissingNameError(f"balance {b.name!r}: no {role} {name!r}; {nearest(name, known)}", "state", name)
+        if b.motion:
+            moving[b.name] = b.motion["velocity"]
+        elif _is_motion(b, signals[b.state]):
+            moving[b.name] = b.state
+        elif stores_nothing(b) and _has_dimensions(b.unit, FORCES):
+            if _has_dimensions(signals[b.state].unit, ACCELERATIONS):
+                solved = rates.get(b.state, "")
+            else:  # solved for a force: the motion is given
+                solved = given[0] if len(given) == 1 and _has_dimensions(signals[b.state].unit, FORCES) else ""
+            if solved:
+                moving[b.name] = solved
+    # The forces of a body stand in its relation where its balance only says that its rate is the acceleration solved for.
+    stated = {b.state: b.name for b in balances}
+    for b in balances:
+        if stores_nothing(b) and moving.get(b.name, "") in stated and rates.get(b.state) == moving[b.name]:
+            moving.pop(stated[moving[b.name]], None)
+    motions = {}
+    for b in (b for b in balances if b.name in moving):
+        # The displacement is the state whose rate is the velocity.
+        velocity = moving[b.name]
+        displacement = b.motion.get("displacement") or rates.get(velocity, "")
+        displacement = displacement or _by_role("displacement", (*states, *inputs), len(moving) == 1)
+        motions[b.name] = {"velocity": velocity, "displacement": displacement}
+    return motions
+
+
 def _is_motion(balance: Balance, state: State) -> bool:
     if state.role:
         return state.role == "velocity"
+    return _has_dimensions(balance.unit, FORCES) and _has_dimensions(state.unit, SPEEDS)
+
+
+def _has_dimensions(unit: str, dimensions: Sequence[tuple[tuple[str, float], ...]]) -> bool:
     try:
-        return parse_unit(balance.unit).dimensions in FORCES and parse_unit(state.unit).dimensions in SPEEDS
+        return parse_unit(unit).dimensions in dimensions
     except ModelError:  # the unit check of the model says which one
         return False
 
 
-def _find_displacement(velocity: State, balances: Sequence[Balance]) -> str:
-    """The state whose rate is that velocity; empty where there is none."""
-    for b in (b for b in balances if not stores_nothing(b)):
-        total = ca.SX(sum(b.terms.values(), ca.SX(0)) / b.storage)
-        if total.is_symbolic() and total.name() == velocity.name and b.state != velocity.name:
-            return b.state
-    return ""
-
-
-def _by_role(role: str, states: Sequence[State], alone: bool) -> str:
-    names = [s.name for s in states if s.role == role]
+def _by_role(role: str, signals: Sequence[State | Input], alone: bool) -> str:
+    names = [s.name for s in signals if s.role == role]
     return names[0] if alone and names else ""
 
 

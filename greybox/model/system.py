@@ -152,10 +152,13 @@ class PlacedEffect:
         outer: tuple[Item, ...] = (*self.parameters, *self.states)
         return {own_item.name: placed.name for own_item, placed in zip(inner, outer, strict=True)}
 
-    def sees_states(self, x: NamedValues) -> NamedValues:
+    def sees_states(self, x: NamedValues, u: NamedValues) -> NamedValues:
         """The states as the effect's functions see them: its own names come first, and roles are those at its site."""
         names = self.model_names
-        return x.seen_from({s.name: x[names[s.name]] for s in self.effect.states}, self.place.states)
+        own = {s.name: x[names[s.name]] for s in self.effect.states}
+        # The motion at a relation may be an input.
+        given = {role: u[name] for role, name in self.place.states.items() if name and name not in x}
+        return x.seen_from({**given, **own}, {r: name for r, name in self.place.states.items() if r not in given})
 
     def sees_inputs(self, u: NamedValues) -> NamedValues:
         """The inputs as the effect's functions see them: ``u.input`` and the like are the one at its site."""

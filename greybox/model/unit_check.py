@@ -113,7 +113,7 @@ class _UnitCheck:
         (x, u, p), effect, subject = self.symbols, placed.effect, f"effect {placed.effect.name!r}"
         outputs = {o.name: o.unit for o in self.statement.outputs}
         reading = ca.SX.sym(MEASURED)
-        seen = placed.sees_states(x.replaced({"sensor": reading}))
+        seen = placed.sees_states(x.replaced({"sensor": reading}), u)
         names = seen, placed.sees_inputs(u), placed.sees_parameters(p)
         known = {**self.units, MEASURED: outputs.get(placed.site, self.statement.outputs[0].unit)}
         for given, value in (effect.on_parameter(*names) if effect.on_parameter else {}).items():
@@ -149,8 +149,10 @@ class _UnitCheck:
             if not stores_nothing(balance):
                 yield from self._storage(place, balance)
             for term, value in balance.terms.items():
-                friction = dry.get((balance.name, term))
-                if friction is None:
+                friction, block = dry.get((balance.name, term)), balance.blocks.get(term)
+                if block is not None and block.unit:  # as told
+                    yield from self._told(f"{place} term {term!r}", block.unit, balance.unit)
+                elif friction is None:
                     yield from self._expect(f"{place} term {term!r}", value, balance.unit)
                 else:  # the term itself is the sliding friction times a sign
                     yield from self._expect(f"{place} sliding friction {term!r}", friction.sliding, balance.unit)
@@ -177,6 +179,10 @@ class _UnitCheck:
         # Another scale of the same dimension is no mistake: the system is written out in it.
         if rate.dimensions != parse_unit(self._as_checked(balance.unit)).dimensions:
             yield f"{subject} has {self._describe(rate)}, expected {format_unit(balance.unit) or '1'}"
+
+    def _told(self, subject: str, unit: str, expected: str) -> Iterator[str]:
+        if parse_unit(unit) != parse_unit(expected):
+            yield f"{subject} has unit {format_unit(unit)}, expected {format_unit(expected) or '1'}"
 
     def _expect(
         self, subject: str, value: ca.SX | float, unit: str, units: Mapping[str, str] | None = None

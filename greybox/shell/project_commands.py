@@ -101,11 +101,13 @@ def models(study: Study) -> Answer:
     """List the models, or print the equations and parameters of one."""
     from greybox.model.system import unused_parameters
     from greybox.shell.project import find_model, list_models
+    from greybox.show.sentences.model import write_model
 
     if study.some_model:
         one = add_effects(find_model(study.some_model), study.added)
         print_findings(Finding(CommandCode.UNUSED_PARAMETER, subject=name) for name in unused_parameters(one.system))
-        return Answer(one, lambda _: _as_json(_outline(one)), next=f"greybox check {to_word(study.some_model)}")
+        shown = write_model(one, in_full=True) if study.details else one
+        return Answer(shown, lambda _: _as_json(_outline(one)), next=f"greybox check {to_word(study.some_model)}")
     listing = list_models()
     for problem in listing.problems:
         print_note(f"warning: {problem}")
@@ -158,7 +160,7 @@ MODELS = Command(
     "List the models, or print one model.",
     (
         Study.some_model.but(help="The model to print: its name or its file. Without MODEL, all are listed."),
-        *(Study.added, Study.json),
+        *(Study.added, Study.json, Study.details.but(help="Write blocks of terms out in full.")),
     ),
     ("greybox models", "greybox models micro_actuator", "greybox models my/rig.py"),
 )

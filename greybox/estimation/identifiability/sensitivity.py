@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 from greybox.base import DataError, Finding, ModelError
 from greybox.base.linear_algebra import COLUMN_RANK, ColumnDecomposition, decompose_columns, range_basis
 from greybox.base.numerics import COLUMN_CUTOFF, INTEGRATING_POLE, TINY
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, stack_signals
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.estimation.transcription.shooting_cost import SingleShooting
 from greybox.model import Model
@@ -70,7 +70,7 @@ def simulate_generic_record(model: Model) -> tuple[Experiment, Finding]:
         inputs = {i.name: draw_levels(generator, rows, low) for i in model.inputs}
         run = simulate(model, {"time": time, **inputs})
         # At a bound the equations are cut off, and constants beside it do not show.
-        if run.overflow is None and not touches_bounds(model, np.column_stack(list(run.states.values()))):
+        if run.overflow is None and not touches_bounds(model, stack_signals(list(run.states.values()), rows)):
             break
     if run.overflow is not None:
         raise DataError(
@@ -140,7 +140,7 @@ BOUND_MARGIN = 1e-06
 
 def touches_bounds(model: Model, x: np.ndarray) -> bool:
     """Whether a state, of (N, nx), comes to its bounds."""
-    low, high = np.array([s.bounds for s in model.all_states]).T
+    low, high = np.array([s.bounds for s in model.all_states]).reshape(-1, 2).T
     near = BOUND_MARGIN * np.ptp(x, axis=0)
     return bool((x <= low + near).any() or (x >= high - near).any())
 
@@ -395,7 +395,7 @@ def _compute_wide_point(model: Model, at_rest: bool, generator: np.random.Genera
         begin[ranged] += WIDE_STARTS / 2 * np.ptp(bounds[ranged], axis=1) * generator.uniform(-1, 1, int(ranged.sum()))
         with np.errstate(all="ignore"):  # rows that are not finite are left out
             run = simulate(model, record, initial=dict(zip(model.system.state_names, begin.tolist(), strict=True)))
-        states = np.column_stack(list(run.states.values()))
+        states = stack_signals(list(run.states.values()), record.rows)
         near = WIDE_MARGIN * np.ptp(np.where(np.abs(states) < LARGEST_STATE, states, 0.0), axis=0)
         inside = (states > bounds[:, 0] + near) & (states < bounds[:, 1] - near)
         outside = ~(inside & (np.abs(states) < LARGEST_STATE)).all(axis=1)

@@ -197,7 +197,7 @@ def estimate_error_growth(
     """
     if jacobians is None:
         jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
-    if not len(jacobians):
+    if not jacobians.size:  # no point, or relations alone: nothing grows
         return 0.0
     # The largest Re(lambda) in each point.
     rates = np.linalg.eigvals(jacobians).real.max(axis=1)

@@ -225,7 +225,7 @@ def _source(plant: ExportedModel, interval: DiscreteStep, header_name: str) -> s
         use="coefficients" if coefficients else "constants",
         name=name,
         NAME=name.upper(),
-        states=", ".join(f"state->{m}" for m in states),
+        states=", ".join(f"state->{m}" for m in states) or "0",
         past=", ".join(f"state->{m}" for m in past) or "0",
         inputs=", ".join(f"input->{m}" for m in inputs) or "0",
         unused="" if inputs else "    (void)input;\n",

@@ -32,8 +32,8 @@ typedef struct {
 
 /* What a run is made of; a copy of it is the whole of its state. */
 typedef struct {
-    double x[NX], past[PAST + 1], u[NU + 1], p[NP + 1], time;
-    int set[NX], running; /* states that were set from outside; whether initialisation is over */
+    double x[NX + 1], past[PAST + 1], u[NU + 1], p[NP + 1], time;
+    int set[NX + 1], running; /* states that were set from outside; whether initialisation is over */
 } Run;
 
 typedef struct {
@@ -59,7 +59,7 @@ static fmi2Status refuse(fmi2Component c, const char *why)
 static void begin(Run *run)
 {
     struct rest_once once;
-    double x[NX];
+    double x[NX + 1];
 
     prepare_rest(&once, run->p);
     rest(&once, run->p, x);

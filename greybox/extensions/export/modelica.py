@@ -162,7 +162,7 @@ def _guarded(b: Balance, model: Model) -> Balance:
     def held(value: ca.SX | float) -> ca.SX:
         return hold_inside_bounds(ca.SX(value), model.system.x, model.all_states)
 
-    return Balance(b.name, b.unit, held(b.storage), b.state, **{name: held(term) for name, term in b.terms.items()})
+    return b.with_expressions(held)
 
 
 def _sum(terms: Sequence[Printed]) -> str:

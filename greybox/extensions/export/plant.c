@@ -8,7 +8,7 @@ $constants
 ${coefficients}void ${name}_start(struct ${name}_state *state)
 {
     struct rest_once once;
-    double x[NX];
+    double x[NX + 1];
 
     prepare_rest(&once, constants);
     rest(&once, constants, x);

@@ -25,7 +25,7 @@ from greybox.model.system import BoundEffect, named_symbols
 
 PUBLIC = ("Balance", "DryFriction", "Effect", "Input", "Model", "Output", "Parameter", "State", "effect")
 # What else a text may import or define.
-OTHER_NAMES = ("math", "ca", "np", "gb", "Rule", "balances")
+OTHER_NAMES = ("math", "ca", "np", "gb", "Block", "Rule", "balances")
 HOOKS = (
     "terms",
     "dry",
@@ -105,8 +105,8 @@ def python_text(plant: ExportedModel) -> str:
         lines += ["import math", ""]
     third_party = ["import casadi as ca"] * ("ca." in text) + ["import numpy as np"] * ("np." in text)
     lines += [*third_party, *[""] * bool(third_party), f"from greybox import {', '.join(imports)}"]
-    if "Rule(" in text:
-        lines.append("from greybox.model import Rule")
+    if inner := [word for word in ("Block", "Rule") if f"{word}(" in text]:
+        lines.append(f"from greybox.model import {', '.join(inner)}")
     return "\n".join([*lines, "", "", text, ""])
 
 
@@ -250,7 +250,7 @@ def _effect(bound: BoundEffect, model: Model) -> str:
     x = NamedValues("state", {s.name: ca.SX.sym(s.name) for s in model.all_states}, roles)
     u = NamedValues("input", {i.name: ca.SX.sym(i.name) for i in model.inputs}, roles)
     p = NamedValues("parameter", {q.name: ca.SX.sym(q.name) for q in model.stated_parameters}, roles)
-    x = bound.placed.sees_states(x.replaced({"sensor": ca.SX.sym(SENSOR)}))
+    x = bound.placed.sees_states(x.replaced({"sensor": ca.SX.sym(SENSOR)}), u)
     u = bound.placed.sees_inputs(u)
     at_rest = {"sensor": ca.SX.sym(SENSOR_AT_REST), "displacement": ca.SX.sym(DISPLACEMENT_AT_REST)}
     p = bound.placed.sees_parameters(p.replaced(at_rest))

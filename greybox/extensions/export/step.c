@@ -17,7 +17,7 @@ static void fill(double *row, const double *u, const double *past, double share,
 static void interval(double *x, double *past, const double *u, const double *q, double length)
 {
     struct advance_once once;
-    double begin[COLUMNS], end[COLUMNS], next[NX];
+    double begin[COLUMNS], end[COLUMNS], next[NX + 1];
     const double h = length / SUBSTEPS;
 
     for (int i = 0; i < PAST; i++)

@@ -176,6 +176,7 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
         )
     arguments = [system.x, system.u, system.p]
     columns = {state.name: x[:, k] for k, state in enumerate(model.all_states)}
+    columns |= {i.name: u[:, k] for k, i in enumerate(model.inputs)}
     for a in system.algebraic:
         columns[a.state.name] = np.asarray(ca.Function("value", arguments, [a.value])(x.T, u.T, p)).ravel()
     peaks = {state.role: _peak(columns[state.name]) for state in reversed(model.all_states) if state.role}
@@ -189,7 +190,13 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
     balances = {name: _peak(np.asarray(terms(x.T, u.T, p))) for name, terms in every_term.items()}
     stored = ca.Function("storage", arguments, [ca.vertcat(*[ca.SX(b.storage) for b in system.balances])])
     of_balances = dict(zip(balances, np.asarray(stored(x[0], u[0], p)).ravel().tolist(), strict=False))
-    storages = dict.fromkeys(balances, 0.0) | of_balances
+    # Of a relation what its largest term would move as it moves: force over acceleration.
+    moved = {
+        s.name: np.gradient(columns[s.states["velocity"]], every * period)
+        for s in model.sites
+        if s.is_motion and len(x) > 1
+    }
+    storages = {name: balances[name] / _peak(moved[name]) if name in moved else 0.0 for name in balances} | of_balances
     readings = dict(zip(system.output_names, np.asarray(system.output_function(x.T, u.T, p)), strict=True))
     inputs = dict(zip(system.input_names, u.T, strict=True))
     sites: dict[str, SiteScales] = {}

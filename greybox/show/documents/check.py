@@ -50,7 +50,7 @@ WIDTH = 16
 
 def _details(check: ModelCheck) -> Iterator[doc.Block]:
     """Equations, integration, records, what the outputs can tell at best and what these records tell, roles and effects."""
-    yield doc.EquationList([], equations_text(check.model))
+    yield doc.EquationList([], equations_text(check.model, in_full=True))
     facts = _computation(check)
     if check.assumed:
         facts += _listed("records", ["none given; simulated at the start values:", str(check.assumed)])

@@ -17,6 +17,7 @@ from greybox.estimation import Fit, FitOptions, Trace
 from greybox.model import Balance, Model, equations_text
 from greybox.model.algebraic import stores_nothing
 from greybox.model.expressions.operations import Binding
+from greybox.model.expressions.printer import Printed
 from greybox.model.expressions.text import LATEX, expression_latex, symbol_latex
 from greybox.show.figures.figure import scale_to_prefix, value_range
 from greybox.show.sentences.wording import (
@@ -258,7 +259,14 @@ def _terms(balance: Balance) -> list[str]:
     """The terms with their signs, and their names below."""
     texts: list[str] = []
     for name, value in balance.terms.items():
-        term = LATEX.write(value)
+        block = balance.blocks.get(name)
+        if block:
+            stands = rf"\text{{{_words(block.name)}}}"
+            term = (
+                Printed(f"-{stands}", Binding.NEGATION, stands) if block.is_negative else Printed(stands, Binding.ATOM)
+            )
+        else:
+            term = LATEX.write(value)
         sign = "- " if term.opposite else ("+ " if texts else "")
         texts.append(rf"{sign}\underset{{\text{{{_words(name)}}}}}{{{term.opposite or term.text}}}")
     return texts

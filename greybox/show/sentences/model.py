@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 
 @renders("Model")
-def write_model(model: Model) -> str:
-    """Title, equations and parameters of a model."""
+def write_model(model: Model, *, in_full: bool = False) -> str:
+    """Title, equations and parameters of a model; ``in_full`` with what stands behind the names of blocks."""
     title = f"{model.title}: {model.description}" if model.description else model.title
     parameters = ["  parameters", *_table([_row(q) for q in model.all_parameters])] if model.all_parameters else []
-    return "\n".join([title, equations_text(model), *parameters])
+    return "\n".join([title, equations_text(model, in_full=in_full), *parameters])
 
 
 def _row(parameter: Parameter) -> tuple[str, ...]:

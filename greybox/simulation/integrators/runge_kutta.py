@@ -62,7 +62,7 @@ def compute_fastest_rate(jacobian: np.ndarray, excluded: Sequence[int]) -> float
     remaining = jacobian.copy()
     # Only the own rate: what couples the state to the others still counts, an inductance behind a spring included.
     remaining[list(excluded), list(excluded)] = 0.0
-    return float(np.abs(np.linalg.eigvals(remaining)).max()) if np.isfinite(remaining).all() else 0.0
+    return float(np.abs(np.linalg.eigvals(remaining)).max(initial=0.0)) if np.isfinite(remaining).all() else 0.0
 
 
 def make_exponential_method(numbers: Sequence[int]) -> IntegrationMethod:
