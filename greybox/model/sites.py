@@ -114,7 +114,8 @@ def list_sites(
 ) -> tuple[Site, ...]:
     """Every balance, input and output of a model as a site, in this order."""
     labels = _short_labels([b.name for b in balances], {i.name for i in inputs} | {o.name for o in outputs})
-    by_name: dict[str, State | Input] = {s.name: s for s in (*inputs, *states)}
+    by_name = {s.name: s for s in states}
+    units_of = {i.name: i.unit for i in inputs} | {s.name: s.unit for s in states}
     motions = _find_motions(states, inputs, balances)
     sites = []
     drives = [i.name for i in inputs if i.role == DRIVE] or [i.name for i in inputs if _takes(DRIVE, i.role)]
@@ -133,7 +134,7 @@ def list_sites(
             units[STORE] = units[role] = state.unit
         if motion:
             roles |= motion
-            units |= {role: by_name[name].unit if name else "" for role, name in motion.items()}
+            units |= {role: units_of[name] if name else "" for role, name in motion.items()}
         sites.append(Site(b.name, PlaceKind.BALANCE, labels[b.name], roles, driven, units))
     for i in inputs:
         words = (FIRST_INPUT, DRIVE, VALVE)
@@ -196,7 +197,7 @@ def _find_motions(
     states: Sequence[State], inputs: Sequence[Input], balances: Sequence[Balance]
 ) -> dict[str, dict[str, str]]:
     """Balance or relation of forces -> the velocity and the displacement of what they act on, an empty name for one that is not there."""
-    known = [i.name for i in (*states, *inputs)]
+    known = [*(s.name for s in states), *(i.name for i in inputs)]
     rates: dict[str, str] = {}
     for b in (b for b in balances if not stores_nothing(b)):
         total = ca.SX(sum(b.terms.values(), ca.SX(0)) / b.storage)

@@ -155,10 +155,12 @@ class PlacedEffect:
     def sees_states(self, x: NamedValues, u: NamedValues) -> NamedValues:
         """The states as the effect's functions see them: its own names come first, and roles are those at its site."""
         names = self.model_names
-        own = {s.name: x[names[s.name]] for s in self.effect.states}
+        effect_states = {s.name: x[names[s.name]] for s in self.effect.states}
         # The motion at a relation may be an input.
         given = {role: u[name] for role, name in self.place.states.items() if name and name not in x}
-        return x.seen_from({**given, **own}, {r: name for r, name in self.place.states.items() if r not in given})
+        return x.seen_from(
+            {**given, **effect_states}, {r: name for r, name in self.place.states.items() if r not in given}
+        )
 
     def sees_inputs(self, u: NamedValues) -> NamedValues:
         """The inputs as the effect's functions see them: ``u.input`` and the like are the one at its site."""

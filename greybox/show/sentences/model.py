@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 
 
 @renders("Model")
+def _write_model(model: Model) -> str:
+    return write_model(model)
+
+
 def write_model(model: Model, *, in_full: bool = False) -> str:
     """Title, equations and parameters of a model; ``in_full`` with what stands behind the names of blocks."""
     title = f"{model.title}: {model.description}" if model.description else model.title
