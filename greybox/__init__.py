@@ -5,7 +5,7 @@ The verbs of the first week stand here: `read_csv`, `simulate`, `fit`, `validate
 
 Everything else is in a namespace: ``gb.signals`` (test signals), ``gb.effects`` (the catalogue), ``gb.blackbox``, ``gb.discovery``,
 ``gb.changes``, ``gb.identifiability``, ``gb.uncertainty`` (profile likelihood, bootstrap), ``gb.residuals``,
-``gb.export``, ``gb.fleet`` (many records), ``gb.frequency`` (frequency responses), ``gb.fmu``, ``gb.errors``.
+``gb.export``, ``gb.fleet`` (many records), ``gb.frequency`` (frequency responses), ``gb.fmu``, ``gb.robots``, ``gb.errors``.
 """
 
 from __future__ import annotations
@@ -37,9 +37,11 @@ if TYPE_CHECKING:
     from greybox.estimation.result import Fit, load_fit
     from greybox.estimation.validate import validate
     from greybox.extensions import changes, export, fleet, fmu
+    from greybox.extensions import robot as robots
     from greybox.extensions.changes.detect import detect_changes
     from greybox.extensions.design.next_record import design
     from greybox.extensions.fleet.batch import fit_each
+    from greybox.extensions.robot.plant import robot
     from greybox.model import effects
     from greybox.model.balance import Balance
     from greybox.model.characteristic import Characteristic
@@ -74,6 +76,7 @@ _NAMES = {
     "extensions.changes.detect": ("detect_changes",),
     "extensions.design.next_record": ("design",),
     "extensions.fleet.batch": ("fit_each",),
+    "extensions.robot.plant": ("robot",),
     "data.signals": ("SignalLimit",),
     "model": ("Balance", "Characteristic", "DryFriction", "Effect", "Model"),
     "model.signals": ("Input", "Output", "Parameter", "State"),
@@ -97,6 +100,7 @@ _NAMESPACES = {
     "frequency": "comparison.frequency",
     "identifiability": "estimation.identifiability",
     "residuals": "estimation.residuals",
+    "robots": "extensions.robot",
     "signals": "data.signals",
     "simulation": "simulation",
     "uncertainty": "estimation.uncertainty",
@@ -147,6 +151,8 @@ __all__ = [
     "report",
     "residual_tests",
     "residuals",
+    "robot",
+    "robots",
     "signals",
     "simulate",
     "simulation",

@@ -20,6 +20,7 @@ from greybox.shell.printed import list_printed, schema_of_command
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from tests.support.result_schema import strict_offences
+from tests.support.robots import DOUBLE_PENDULUM, joint_log, write, write_log
 
 
 def test_every_command_has_it_and_a_schema() -> None:
@@ -64,6 +65,7 @@ EXAMPLES = {
     "campaign": "micro_actuator --limit u=-1:1 --duration 0.02 --sampling-time 2.5e-4 --noise x=1e-7 --no-report",
     "check": "train.csv test.csv",
     "export": "fit.json --to json --samples 2 --no-report",
+    "robot": "arm.urdf log.csv --no-report",
     "simulate": "micro_actuator train.csv",
     "models": "",
     "effects": "micro_actuator",
@@ -78,8 +80,9 @@ LONG = ("compare", "campaign", "demo")
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two records and the fit of one."""
+    """A folder with two records and the fit of one, and a robot with a log."""
     folder = tmp_path_factory.mktemp("bench")
+    write_log(joint_log(), write(folder / "arm.urdf", DOUBLE_PENDULUM).with_name("log.csv"))
     plain, noise = micro_actuator.fix("M", "Ra"), {"x": 2e-7, "i": 5e-3}
     for seed, name in enumerate(("test.csv", "train.csv")):
         u = np.random.default_rng(10 + seed).normal(0, 1, 200)

@@ -146,8 +146,8 @@ HEAD = 'model = "micro_actuator"\n[records]\nestimation = ["a.csv"]\n'
     ("text", "message"),
     [
         ("model = micro", "study.toml: not TOML: Invalid value (at line 1, column 9); correct that line"),
-        (HEAD + "[fixd]\nM = 1", "study.toml: fixd: no such table; did you mean 'fixed'? (known"),
-        ("modle = 'a'", "study.toml: modle: no such key; did you mean 'model'? (known"),
+        (HEAD + "[fixd]\nM = 1", "study.toml: fixd: no such table; did you mean 'fixed'? ("),
+        ("modle = 'a'", "study.toml: modle: no such key; did you mean 'model'? ("),
         (HEAD + "at_rset = true", "study.toml, [records] at_rset: no such key; did you mean 'at_rest'?"),
         (HEAD + "[fit]\nprofle = ['K']", "study.toml, [fit]: profle: no such key; did you mean 'profile'? (known"),
         (
@@ -248,7 +248,8 @@ def test_every_option_of_a_command_has_one_place_and_one_flag(name: str) -> None
 
 def test_every_command_that_computes_reads_a_study() -> None:
     assert set(study_commands(COMMANDS)) == {
-        *("fit", "compare", "discover", "check", "simulate", "design", "campaign", "changed", "export", "fleet")
+        *("fit", "compare", "discover", "check", "simulate", "design", "campaign", "changed", "export", "fleet"),
+        "robot",
     }
 
 

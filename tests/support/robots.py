@@ -7,12 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
+from greybox.data.experiment import Experiment
 from greybox.extensions.robot import Robot
 
 LENGTH, CENTRES, MASSES, INERTIAS = 0.5, (0.2, 0.15), (3.0, 2.0), (0.04, 0.02)
+# Place of a payload below the elbow, m.
+TIP = 0.3
 
-# Two links that swing about horizontal axes y; q = 0 hangs down. A tool of 0.5 kg is fixed to the second.
+# Two links that swing about horizontal axes y; q = 0 hangs down.
 DOUBLE_PENDULUM = f"""<?xml version="1.0"?>
 <robot name="double_pendulum">
   <link name="base"><inertial><mass value="9"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -28,9 +32,19 @@ DOUBLE_PENDULUM = f"""<?xml version="1.0"?>
 """
 
 
-def double_pendulum_torques(q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, g: float = 9.81) -> np.ndarray:
-    """Torques (N, 2) of the double pendulum; Spong, Hutchinson, Vidyasagar, Robot Modeling and Control, 2006, section 7.4."""
+def double_pendulum_torques(
+    q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, *, payload: float = 0.0, g: float = 9.81
+) -> np.ndarray:
+    """Torques (N, 2) of the double pendulum; Spong, Hutchinson, Vidyasagar, Robot Modeling and Control, 2006, section 7.4.
+
+    ``payload``: a point mass in kg at `TIP` below the elbow.
+    """
     (m1, m2), (c1, c2), (i1, i2), length = MASSES, CENTRES, INERTIAS, LENGTH
+    whole = m2 + payload
+    centre = (m2 * c2 + payload * TIP) / whole
+    # Steiner: both bodies about their common centre.
+    i2 += m2 * (centre - c2) ** 2 + payload * (TIP - centre) ** 2
+    m2, c2 = whole, centre
     (q1, q2), (v1, v2), (a1, a2) = q.T, dq.T, ddq.T
     d11 = m1 * c1**2 + m2 * (length**2 + c2**2 + 2 * length * c2 * np.cos(q2)) + i1 + i2
     d12 = m2 * (c2**2 + length * c2 * np.cos(q2)) + i2
@@ -82,3 +96,55 @@ def find_description(name: str) -> Path:
     except metadata.PackageNotFoundError:
         pytest.skip("example-robot-data is not installed")
     return next(Path(str(file.locate())) for file in files if str(file).endswith(name))
+
+
+def swing(rows: int = 8000, step: float = 0.002, seed: int = 0) -> tuple[np.ndarray, ...]:
+    """Times (N,) and positions, velocities, accelerations (N, 2) of a motion of five harmonics."""
+    generator, time = np.random.default_rng(seed), step * np.arange(rows)
+    harmonics = 2 * np.pi * 0.125 * np.arange(1, 6)
+    sines, cosines = generator.normal(size=(2, 5, 2)) / np.arange(1, 6)[:, None]
+    phase = np.outer(time, harmonics)
+    w = harmonics[:, None]
+    q = np.sin(phase) @ sines + np.cos(phase) @ cosines
+    dq = np.cos(phase) @ (w * sines) - np.sin(phase) @ (w * cosines)
+    ddq = -np.sin(phase) @ (w**2 * sines) - np.cos(phase) @ (w**2 * cosines)
+    return time, q, dq, ddq
+
+
+def joint_log(
+    seed: int = 0,
+    viscous: tuple[float, float] = (0.0, 0.0),
+    dry: tuple[float, float] = (0.0, 0.0),
+    offset: tuple[float, float] = (0.0, 0.0),
+    payload: float = 0.0,
+    rows: int = 8000,
+) -> Experiment:
+    """A log of the double pendulum: encoders of 18 bits, torques with noise of 0.1 and 0.03 N m, a part of it coloured."""
+    time, q, dq, ddq = swing(rows, seed=seed)
+    generator = np.random.default_rng([seed, 1])
+    tau = (
+        double_pendulum_torques(q, dq, ddq, payload=payload)
+        + np.array(viscous) * dq
+        + np.array(dry) * np.sign(dq)
+        + offset
+    )
+    white, slow = generator.normal(size=(2, *tau.shape))
+    tau += [0.1, 0.03] * (white + 0.3 * lfilter([np.sqrt(1 - 0.95**2)], [1, -0.95], slow, axis=0))
+    resolution = 2 * np.pi / 2**18
+    q = np.round(q / resolution) * resolution
+    return Experiment("log", time, {}, {"q1": q[:, 0], "q2": q[:, 1], "tau1": tau[:, 0], "tau2": tau[:, 1]})
+
+
+def write_log(log: Experiment, path: Path) -> Path:
+    """A log as a CSV file with units in its head."""
+    units = {"q": "rad", "dq": "rad/s", "tau": "N*m"}
+    head = ["time [s]", *(f"{name} [{units[name.rstrip('12')]}]" for name in log.outputs)]
+    np.savetxt(
+        path,
+        np.column_stack([log.time, *log.outputs.values()]),
+        delimiter=",",
+        header=",".join(head),
+        comments="",
+        fmt="%.9g",
+    )
+    return path

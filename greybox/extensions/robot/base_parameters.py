@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 from scipy.linalg import solve_triangular
 
@@ -59,6 +60,13 @@ class BaseParameters(ReadOnly):
     def values(self) -> np.ndarray:
         """Of the description (B,)."""
         return np.asarray(self.mixing @ self.robot.inertial)
+
+    @cached_property
+    def regressor(self) -> ca.Function:
+        """``(q, dq, ddq) -> Y`` (n, B) with ``tau = Y beta``."""
+        whole = RigidBody(self.robot).regressor
+        states = whole.sx_in()
+        return ca.Function("base_regressor", states, [ca.densify(whole(*states)[:, self.columns.tolist()])])
 
     def describe(self, k: int) -> str:
         """One of them as a formula: ``Izz1 + 0.18 (m2 + m3)``."""

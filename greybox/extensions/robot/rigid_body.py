@@ -21,7 +21,7 @@ from greybox.extensions.robot.description import INERTIAL_NAMES, Joint, JointKin
 ROUNDING = 1e-15
 
 
-class Motion(NamedTuple):
+class FrameMotion(NamedTuple):
     """A link's frame: rotation into its parent's, its origin there, and its own motion in its own frame.
 
     ``omega`` and ``alpha`` are the angular velocity and acceleration, ``a`` the acceleration of the origin less gravity.
@@ -123,14 +123,14 @@ class RigidBody:
         F, _ = self.robot.ties
         return F.T @ ca.vertcat(*tau)
 
-    def _motions(self, q: ca.SX, dq: ca.SX, ddq: ca.SX) -> list[Motion]:
-        """Motion of each link's frame, from the base outwards."""
+    def _motions(self, q: ca.SX, dq: ca.SX, ddq: ca.SX) -> list[FrameMotion]:
+        """FrameMotion of each link's frame, from the base outwards."""
         F, c = self.robot.ties
         q, dq, ddq = F @ q + c, F @ dq, F @ ddq
         # The base accelerates against gravity: weight needs no term of its own.
         still = ca.SX(3, 1)
-        base = Motion(ca.SX.eye(3), still, still, still, ca.SX(-self.robot.gravity))
-        motions: list[Motion] = []
+        base = FrameMotion(ca.SX.eye(3), still, still, still, ca.SX(-self.robot.gravity))
+        motions: list[FrameMotion] = []
         for k, joint in enumerate(self.robot.joints):
             above = motions[joint.parent] if joint.parent >= 0 else base
             R, p = _place(joint, q[k])
@@ -139,13 +139,13 @@ class RigidBody:
             a = R.T @ (above.a + ca.cross(above.alpha, p) + ca.cross(above.omega, ca.cross(above.omega, p)))
             omega, alpha = R.T @ above.omega, R.T @ above.alpha
             if joint.kind is JointKind.REVOLUTE:
-                motions.append(Motion(R, p, omega + s * dq[k], alpha + s * ddq[k] + ca.cross(omega, s * dq[k]), a))
+                motions.append(FrameMotion(R, p, omega + s * dq[k], alpha + s * ddq[k] + ca.cross(omega, s * dq[k]), a))
             else:
                 # 2 omega x s dq: Coriolis
-                motions.append(Motion(R, p, omega, alpha, a + s * ddq[k] + 2 * ca.cross(omega, s * dq[k])))
+                motions.append(FrameMotion(R, p, omega, alpha, a + s * ddq[k] + 2 * ca.cross(omega, s * dq[k])))
         return motions
 
-    def _carriers(self, k: int, motions: list[Motion]) -> Iterator[tuple[int, ca.SX, ca.SX]]:
+    def _carriers(self, k: int, motions: list[FrameMotion]) -> Iterator[tuple[int, ca.SX, ca.SX]]:
         """The joints that carry link ``k``, itself first: number, axis and the way to the link's origin, in its frame."""
         R, r = ca.SX.eye(3), ca.SX(3, 1)
         while k >= 0:
@@ -215,13 +215,13 @@ def _clean(values: np.ndarray) -> ca.SX:
     return ca.sparsify(ca.SX(np.where(np.abs(values) < ROUNDING, 0.0, values)))
 
 
-def _wrench(motion: Motion, theta: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _wrench(motion: FrameMotion, theta: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Force and moment (3,) about the frame's origin that move a link of ten constants."""
     force, moment = _wrench_columns(motion)
     return force @ theta, moment @ theta
 
 
-def _wrench_columns(motion: Motion) -> tuple[ca.SX, ca.SX]:
+def _wrench_columns(motion: FrameMotion) -> tuple[ca.SX, ca.SX]:
     """Force and moment (3, 10) of unit constants.
 
     ``f = m a + alpha x h + omega x (omega x h)``, ``n = h x a + I alpha + omega x I omega`` with the first moments ``h``.

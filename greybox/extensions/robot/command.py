@@ -1,0 +1,61 @@
+"""`greybox robot`."""
+
+from __future__ import annotations
+
+from greybox.shell import inputs
+from greybox.shell.study import LAYOUT, SHOWING, Answer, Command, Study
+from greybox.shell.terminal import write_report
+
+
+def robot(study: Study) -> Answer:
+    """Tell what the joints of ROBOT have beside rigid bodies, and which of its constants DATA carries.
+
+    The base parameters are fitted to the torques by weighed least squares with intervals that hold for coloured noise; each joint is
+    searched for viscous, dry, Stribeck and load-dependent friction, an offset, the motor's inertia, a wrong gain and a delay, and the last
+    link for a payload. Columns are q1, tau1, q2, tau2 ... in the order of the axes, and dq1 ... where velocities were measured.
+    Writes DIR/robot.json and DIR/index.html, a page for the browser.
+
+    Exit code 0: there is an answer. 2: bad input, nothing was written.
+    """
+    from greybox.extensions.robot.identify import identify_robot
+    from greybox.extensions.robot.plant import robot as read_plant
+
+    plant = read_plant(study.source)
+    folder = inputs.result_folder(study, plant.name)
+    logs = inputs.read_files(study, study.estimation, plant.log_model, allow_constant_input=True, hold="first")
+    inputs.print_record_notes(logs)
+    identified = identify_robot(plant.robot, logs)
+    saved = identified.save(folder / "robot.json")
+    return Answer(
+        identified,
+        lambda _: saved.read_text(encoding="utf-8"),
+        [saved],
+        lambda: write_report(identified, folder / "index.html"),
+        kept=f"the answer is in {saved}",
+        # What holds in another motion as well is the robot's own; the notes say which motion settles what is open.
+        next=study.then("robot", study.source, *study.estimation, "another_motion.csv"),
+    )
+
+
+ROBOT = Command(
+    robot,
+    "Identify a robot: base parameters, and what each joint lacks.",
+    (
+        Study.source.but(usage="ROBOT", help="The robot: a URDF or an MJCF file."),
+        Study.estimation.but(
+            usage="DATA", help="Joint logs: CSV, MAT, MCAP and others, headers 'name [unit]'.", required=True
+        ),
+        *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit),
+        *(Study.first_time, Study.last_time, Study.split_holes),
+        Study.output.but(help="Folder for the results. [default: results/ROBOT-robot]"),
+        *SHOWING,
+    ),
+    (
+        "greybox robot arm.urdf log.csv",
+        "greybox robot arm.urdf monday.csv tuesday.csv --column 'q1 [deg]=joint_1_position' --output results/arm",
+    ),
+    (LAYOUT,),
+)
+
+PRINTS = {"robot": ("greybox.extensions.robot.result:RobotIdentification",)}
+"""Command -> types of what it prints with ``--json``."""

@@ -1,0 +1,179 @@
+"""The identification of a robot: what its joints have, how well each torque is followed, the base parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from greybox.base import document as doc
+from greybox.base import format_unit
+from greybox.base.figure import Axis, Curve, Figure, Panel, Points, Role, Scale, Thinning
+from greybox.discovery.decision import Grade
+from greybox.extensions.robot.result import BaseEstimate, JointEffect, RigidVerdict, RobotIdentification
+from greybox.extensions.robot.sentences import WORDS
+from greybox.show.documents.tables import provenance_section, worst_first
+from greybox.show.figures.figure import typeset_unit
+from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, percent_text
+
+# Of more joints the answer has the number, the table has the names.
+NAMED_JOINTS = 3
+
+
+def describe_robot(identified: RobotIdentification, *, command: str = "") -> doc.Document:
+    """What is said of the identification of a robot; ``command`` is what was typed."""
+    tables = [_joint_table(identified)]
+    return doc.Document(
+        f"{identified.robot}: {count_noun(len(identified.joints), 'joint')}",
+        _answer(identified),
+        doc.Tone.CAUTION
+        if identified.effects or identified.verdict is not RigidVerdict.AS_DESCRIBED
+        else doc.Tone.GOOD,
+        tables,
+        worst_first(identified.findings),
+        [_base_table(identified), _effect_table(identified)],
+        f"What do the joints of {identified.robot} have beside rigid bodies, and which constants does the record carry?",
+        doc.Later(_evidence, identified),
+        doc.Later(_sections, identified, command),
+        "robot",
+    )
+
+
+def _answer(identified: RobotIdentification) -> str:
+    certain = [e for e in identified.effects if e.grade is Grade.ESTABLISHED]
+    kinds = [kind for kind in WORDS if any(e.kind == kind for e in certain)]
+    parts = []
+    for kind in kinds:
+        joints = [e.joint for e in certain if e.kind == kind]
+        parts.append(
+            f"{WORDS[kind]} at {join_names(joints) if len(joints) <= NAMED_JOINTS else count_noun(len(joints), 'joint')}"
+        )
+    lacks = join_names(parts) if parts else "nothing that is certain beside rigid bodies"
+    carried = sum(not b.is_open for b in identified.base)
+    rigid = {
+        RigidVerdict.AS_DESCRIBED: f"the rigid bodies agree with {identified.source}",
+        RigidVerdict.SCALED: f"the rigid bodies are a multiple of those of {identified.source}",
+        RigidVerdict.OTHER: f"the rigid bodies are other than {identified.source} says",
+    }
+    if identified.payload is not None:
+        low, high = identified.payload.mass_interval
+        rigid[identified.verdict] = (
+            f"a payload of {identified.payload.mass:.3g} kg ({low:.4g} to {high:.4g}) on {identified.payload.link}"
+        )
+    return f"{identified.robot}: {lacks}; {rigid[identified.verdict]}; {carried} of {len(identified.base)} base parameters are carried."
+
+
+def _joint_table(identified: RobotIdentification) -> doc.TableBlock:
+    rows = []
+    for joint in identified.joints:
+        effects = [_say_effect(e) for e in identified.effects if e.joint == joint.joint]
+        cells = (format_number(v, 3) for v in (joint.torque, joint.rigid, joint.final))
+        rows.append([joint.joint, *cells, ", ".join(effects) or "nothing"])
+    head = ["joint", "torque", "rigid", "all", doc.REMARK]
+    note = "Rms of each torque, of what rigid bodies leave of it, and of what is left with all effects, in N m or N."
+    return doc.TableBlock("What each joint has beside rigid bodies", head, rows, note)
+
+
+def _say_effect(effect: JointEffect) -> str:
+    size = f"{effect.value:.3g}" + ("" if effect.unit == "1" else f" {format_unit(effect.unit)}")
+    return f"{WORDS[effect.kind]} {size}" + ("" if effect.grade is Grade.ESTABLISHED else " (probable)")
+
+
+def _base_table(identified: RobotIdentification) -> doc.TableBlock:
+    rows = [[b.name, _estimate(b), b.unit, format_number(b.described, 4), b.formula] for b in identified.base]
+    return doc.TableBlock(
+        "Base parameters", ["constant", "estimate", "unit", "described", doc.REMARK], rows,
+        "With one standard error. The number is that of the joint; what else it carries stands behind it.",
+    )  # fmt: skip
+
+
+def _estimate(base: BaseEstimate) -> str:
+    return f"{format_with_std(base.value, base.std)}{' open' if base.is_open else ''}"
+
+
+def _effect_table(identified: RobotIdentification) -> doc.TableBlock:
+    rows = [
+        [
+            e.joint,
+            WORDS[e.kind],
+            format_with_std(e.value, e.std),
+            format_unit(e.unit),
+            percent_text(e.share, 2),
+            e.grade.replace("_", " "),
+        ]
+        for e in identified.effects
+    ]
+    return doc.TableBlock(
+        "Effects", ["joint", "effect", "estimate", "unit", "takes", "grade"], rows,
+        "Takes: share of the rms error of its joint. Established: nothing else of the list imitates it on this record.",
+    )  # fmt: skip
+
+
+def _evidence(identified: RobotIdentification) -> Iterator[doc.FigureBlock]:
+    yield doc.FigureBlock(plot_torques(identified))
+
+
+def _sections(identified: RobotIdentification, command: str) -> Iterator[doc.Section]:
+    yield doc.Section(
+        "joints",
+        "Joint by joint",
+        [_joint_table(identified), *([_effect_table(identified)] if identified.effects else [])],
+    )
+    yield doc.Section(
+        "base", "Base parameters", [doc.FigureBlock(plot_base_parameters(identified)), _base_table(identified)]
+    )
+    if identified.findings:
+        yield doc.Section("notes", "What to know", [doc.BulletList(worst_first(identified.findings))])
+    yield provenance_section(command)
+
+
+def plot_torques(identified: RobotIdentification) -> Figure:
+    """Torque of each joint: measured, of the rigid bodies, with all effects."""
+    labels = (("measured", Role.MEASURED), ("rigid bodies", Role.BASELINE), ("with all effects", Role.EXTENDED))
+    count_all = np.isfinite(identified.torques[0]).any(axis=0)
+    # Records follow one another: time goes on where the next one begins.
+    time = _join_times(identified.time)
+    panels = []
+    for joint, k in zip(identified.joints, np.flatnonzero(count_all), strict=True):
+        curves = [
+            Curve(time, torque[:, k], role, label, thinning=Thinning.ENVELOPE)
+            for torque, (label, role) in zip(identified.torques, labels, strict=True)
+        ]
+        panels.append(Panel(joint.joint, tuple(curves), Axis("time", "s"), Axis(joint.joint, typeset_unit(joint.unit))))
+    return Figure(
+        "torques",
+        tuple(panels),
+        "Each torque as measured, that of the rigid bodies, and with all effects, where the joint moves.",
+    )
+
+
+def _join_times(time: np.ndarray) -> np.ndarray:
+    steps = np.diff(time, prepend=time[0])
+    return np.asarray(time[0] + np.cumsum(np.where(steps < 0, np.median(steps), steps)))
+
+
+def plot_base_parameters(identified: RobotIdentification) -> Figure:
+    """Each base parameter with its 95 % interval beside the description, kind by kind."""
+    panels = [
+        _panel(unit, [b for b in identified.base if b.unit == unit])
+        for unit in dict.fromkeys(b.unit for b in identified.base)
+    ]
+    return Figure(
+        "base_parameters",
+        tuple(panels),
+        "The base parameters with their 95 % intervals, and what the description says.",
+    )
+
+
+def _panel(unit: str, each: Sequence[BaseEstimate]) -> Panel:
+    names = [b.name for b in each]
+    bars = np.array([(b.interval[1] - b.interval[0]) / 2 for b in each])
+    series = (
+        Points(names, np.array([b.described for b in each]), Role.BASELINE, "described", size=7, hollow=True),
+        Points(names, np.array([b.value for b in each]), Role.EXTENDED, "identified", size=5, half_bars=bars),
+    )
+    return Panel(unit, series, Axis(scale=Scale.CATEGORY), Axis("base parameter", typeset_unit(unit.replace(" ", "*"))))
+
+
+DOCUMENTS = {"RobotIdentification": describe_robot}
+"""Class of a result -> the function that describes it."""

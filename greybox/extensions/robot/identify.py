@@ -1,0 +1,509 @@
+"""From joint logs to base parameters with intervals, and to what each joint has beside rigid bodies.
+
+Torques are linear in all that is sought, so one table of sums over blocks of the record answers every question: which constants it
+carries, which effects it shows and whether another one would do as well, whether a payload explains what differs from the description.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.base import DataError, Finding, Severity
+from greybox.data.experiment import Experiment
+from greybox.discovery.decision import Grade
+from greybox.extensions.robot.base_parameters import BaseParameters, find_base_parameters
+from greybox.extensions.robot.description import JointKind, Robot
+from greybox.extensions.robot.joint_effects import (
+    COLUMNS,
+    COULOMB,
+    INERTIA,
+    OFFSET,
+    VISCOUS,
+    JointEffectKind,
+    effect_columns,
+)
+from greybox.extensions.robot.motion import Motion, reconstruct_motion
+from greybox.extensions.robot.regression import BlockProducts, BlockSolution, promise
+from greybox.extensions.robot.result import (
+    BaseEstimate,
+    JointEffect,
+    JointMisfit,
+    Payload,
+    RigidVerdict,
+    RobotCode,
+    RobotIdentification,
+)
+from greybox.extensions.robot.rigid_body import evaluate_rows
+
+# Blocks of the records, all together: an error known from sixteen is good to a sixth, which the quantile of its interval allows for, and a
+# block is longer than most noise remembers.
+BLOCKS = 16
+LEAST_BLOCK_ROWS = 40
+# A block is so many times longer than the lag at which a residual has this correlation with itself, unless fewer blocks would be left.
+BLOCK_MEMORIES, FORGOTTEN, LEAST_BLOCKS = 5.0, 0.1, 8
+# Rows in which a joint moves: with fewer its torque is not regressed.
+LEAST_MOVING_ROWS = 200
+# Standard errors from which an effect is in the answer: of the thirty that an arm may have, one is by chance in one record of two hundred.
+NAMED_DEVIATIONS = 5.0
+# ... from which one is tried: what it would explain is still in the scatter of the blocks.
+TRIED_DEVIATIONS = 2.5
+# ... and beside all other effects of its joint at once, from which it is certain: nothing of the list imitates it.
+CERTAIN_DEVIATIONS = 3.0
+# Share of the rms error of its joint that a certain effect takes.
+CERTAIN_SHARE = 0.02
+# Share of what is left of a joint's sum of squares that an unusual effect takes.
+UNUSUAL_SHARE = 0.03
+# Share of a column that no other imitates, from which it can be told apart.
+SEPARABLE_SHARE = 1e-4
+# Standard errors by which one set must predict better than another, and the share of the squares that is no difference.
+BETTER_DEVIATIONS, SAME_SHARE = 2.0, 0.01
+# Standard errors by which the rigid bodies are a multiple of those described.
+SCALED_DEVIATIONS = 3.0
+# What joints usually have, first; the others are looked for beside it.
+USUAL = (VISCOUS, COULOMB, OFFSET)
+# A constant is open where half its interval is wider than this share of the largest one of its kind on the link.
+OPEN_SHARE = 0.5
+# Rows on which the noise of the sensors is added again.
+SHAKEN_ROWS = 5000
+
+
+@dataclass(frozen=True, eq=False)
+class _Log:
+    """The rows of all records: motion, base regressors (N, n, B), where each torque counts (N, n), and where blocks begin (K,)."""
+
+    motions: Sequence[Motion]
+    regressors: np.ndarray
+    counts: np.ndarray
+    starts: np.ndarray
+
+    def differentiate(self, values: np.ndarray) -> np.ndarray:
+        """Slopes (N, n) over time of values (N, n), record by record."""
+        ends = np.cumsum([len(m.time) for m in self.motions])[:-1]
+        parts = np.split(values, ends)
+        return np.concatenate([np.gradient(v, m.step, axis=0) for v, m in zip(parts, self.motions, strict=True)])
+
+    def stack(self, name: str) -> np.ndarray:
+        """One array of all motions (N, n)."""
+        return np.concatenate([getattr(m, name) for m in self.motions])
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Sums of each joint alone, unweighted (n, K, B + C + 1, ...), with their rows (n, K); C columns of effects."""
+
+    joints: np.ndarray
+    rows: np.ndarray
+    base: int
+
+    def weigh(self, variances: np.ndarray) -> BlockProducts:
+        """All joints together: base parameters first, then the effects of each joint."""
+        n, K, size = self.joints.shape[:3]
+        C = size - 1 - self.base
+        P = self.base + n * C
+        products = np.zeros((K, P + 1, P + 1))
+        for i, each in enumerate(self.joints):
+            place = [*range(self.base), *(self.base + i * C + np.arange(C)), P]
+            products[np.ix_(range(K), place, place)] += each / variances[i]
+        return BlockProducts(products, self.rows.sum(axis=0))
+
+    def measure(self, x: np.ndarray) -> np.ndarray:
+        """Mean square (n,) that constants x (P,) leave of each joint's torque; NaN without rows."""
+        C = self.joints.shape[2] - 1 - self.base
+        squares = []
+        for i, each in enumerate(self.joints.sum(axis=1)):
+            local = np.concatenate([x[: self.base], x[self.base + i * C : self.base + (i + 1) * C], [-1.0]])
+            squares.append(local @ each @ local)
+        count = self.rows.sum(axis=1)
+        return np.where(count > 0, np.maximum(squares, 0) / np.maximum(count, 1), np.nan)
+
+
+def identify_robot(robot: Robot, records: Experiment | Sequence[Experiment]) -> RobotIdentification:
+    """Fit the base parameters of a robot to joint logs, and look for what its joints have beside rigid bodies.
+
+    Parameters
+    ----------
+    robot
+        The robot as described; axes of which the logs have no position are held still at zero.
+    records
+        Logs with columns ``q1`` ... in rad or m and ``tau1`` ... in N m or N, as they count the axes; ``dq1`` ... in rad/s or m/s are used
+        where they are less noisy than the differentiated positions.
+
+    Returns
+    -------
+    RobotIdentification
+        Base parameters with 95 % intervals, effects of each joint with their grade, what differs from the description.
+
+    Raises
+    ------
+    DataError
+        Where no axis has both position and torque, or too few rows move.
+    """
+    logs = [records] if isinstance(records, Experiment) else list(records)
+    robot, axes, findings = _match_axes(robot, logs)
+    base = find_base_parameters(robot)
+    log = _read_logs(base, logs, axes)
+    if not log.counts.any():
+        raise DataError(
+            f"robot {robot.name!r}: no axis moves for {LEAST_MOVING_ROWS} rows while its torque is measured; nothing can be fitted"
+        )
+    table = _fill_table(log, len(base.names))
+    for joint, rows in zip(base.robot.axes, table.rows.sum(axis=1), strict=True):
+        if not rows:
+            findings.append(Finding(RobotCode.AXIS_WITHOUT_ROWS, Severity.WARNING, joint.name))
+    chosen, sums = _select(table)
+    torques = _follow_torques(log, len(base.names), chosen, sums)
+    sums = _join_blocks(sums, log, torques, findings)
+    return _conclude(base, logs, log, table, sums, chosen, _find_bias(base, logs, axes, log, chosen), torques, findings)
+
+
+def _match_axes(robot: Robot, logs: Sequence[Experiment]) -> tuple[Robot, list[int], list[Finding]]:
+    """The robot whose axes the logs have, their numbers there, and what is to be said of the others."""
+    names = [set(log.inputs) | set(log.outputs) for log in logs]
+    present = set.intersection(*names)
+    axes = [k + 1 for k in range(len(robot.axes)) if f"q{k + 1}" in present]
+    if not any(f"tau{k}" in columns for k in axes for columns in names):
+        raise DataError(
+            f"robot {robot.name!r} has {len(robot.axes)} axes, and the logs have no axis with both position and torque: columns q1, tau1,"
+            " q2, tau2 ... are needed, or --column q1=HEADER"
+        )
+    held = {j.name: 0.0 for k, j in enumerate(robot.axes) if k + 1 not in axes}
+    findings = [Finding(RobotCode.AXIS_HELD, subject=name) for name in held]
+    return (robot.lock(held) if held else robot), axes, findings
+
+
+def _read_logs(
+    base: BaseParameters, logs: Sequence[Experiment], axes: Sequence[int], shake: float = 0.0, every: int = 1
+) -> _Log:
+    motions = [reconstruct_motion(log, axes, shake).thin(every) for log in logs]
+    regressors = np.concatenate([evaluate_rows(base.regressor, m.q, m.dq, m.ddq) for m in motions])
+    counts = np.concatenate([m.is_moving & np.isfinite(m.tau) for m in motions])
+    # A joint with hardly a row that counts has none.
+    counts &= counts.sum(axis=0) >= LEAST_MOVING_ROWS / every
+    total, starts, first = len(counts), [], 0
+    for motion in motions:
+        rows = len(motion.time)
+        pieces = max(1, min(round(BLOCKS * rows / total), rows // LEAST_BLOCK_ROWS))
+        starts += [first + rows * k // pieces for k in range(pieces)]
+        first += rows
+    return _Log(motions, regressors, counts, np.array(starts))
+
+
+def _fill_table(log: _Log, base: int) -> _Table:
+    """The sums over blocks with all columns; those that rest on the load of a joint know it from a first fit."""
+    dq, ddq, tau = log.stack("dq"), log.stack("ddq"), np.nan_to_num(log.stack("tau"))
+    n, rigid, rate = dq.shape[1], np.zeros_like(tau), np.zeros_like(tau)
+    # First with the usual effects alone, which need no load.
+    for columns in (slice(0, len(USUAL)), slice(None)):
+        tables, rows = [], []
+        for i in range(n):
+            effects = effect_columns(dq[:, i], ddq[:, i], rigid[:, i], rate[:, i])[:, columns]
+            Z = np.column_stack([log.regressors[:, i], effects, tau[:, i]]) * log.counts[:, i, None]
+            ends = [*log.starts[1:], len(Z)]
+            tables.append([Z[a:b].T @ Z[a:b] for a, b in zip(log.starts, ends, strict=True)])
+            rows.append(np.add.reduceat(log.counts[:, i].astype(float), log.starts))
+        table = _Table(np.array(tables), np.array(rows), base)
+        if columns.stop:
+            fit = _weigh_by_residual(table).fit()
+            rigid = log.regressors @ fit.x[:base]
+            rate = log.differentiate(rigid)
+    return table
+
+
+def _weigh_by_residual(table: _Table, columns: Sequence[int] | None = None) -> BlockProducts:
+    """All joints together, each weighed by what is left of it when ``columns`` are fitted."""
+    totals = table.joints[:, :, -1, -1].sum(axis=1)
+    variances = np.where(totals > 0, totals / np.maximum(table.rows.sum(axis=1), 1), 1.0)
+    for _ in range(3):
+        sums = table.weigh(variances)
+        kept = np.arange(sums.size) if columns is None else np.array(columns)
+        x = np.zeros(sums.size)
+        x[kept] = sums.take(kept).fit().x
+        left = table.measure(x)
+        variances = np.where(np.isfinite(left) & (left > 0), left, variances)
+    return table.weigh(variances)
+
+
+def _column(base: int, joint: int, column: int) -> int:
+    return base + joint * len(COLUMNS) + column
+
+
+def _kind_of(base: int, column: int) -> tuple[int, JointEffectKind]:
+    joint, place = divmod(column - base, len(COLUMNS))
+    return joint, COLUMNS[place]
+
+
+def _select(table: _Table) -> tuple[list[int], BlockProducts]:
+    """Columns of the answer, and the sums weighed by what it leaves."""
+    base, n = table.base, len(table.joints)
+    joints = [i for i in range(n) if table.rows[i].sum()]
+    chosen = [*range(base), *(_column(base, i, k) for i in joints for k in range(len(USUAL)))]
+    sums = _weigh_by_residual(table, chosen)
+    while added := _find_unusual(sums, chosen, base, joints):
+        chosen = sorted({*chosen, *added})
+        sums = _weigh_by_residual(table, chosen)
+    while dropped := _find_idle(sums.take(chosen).fit(), chosen, base):
+        chosen = [c for c in chosen if c not in dropped]
+    return chosen, _weigh_by_residual(table, chosen)
+
+
+def _find_unusual(sums: BlockProducts, chosen: Sequence[int], base: int, joints: Sequence[int]) -> list[int]:
+    """Of each joint the further effect that takes most, where it takes enough."""
+    present = {_kind_of(base, c) for c in chosen if c >= base}
+    further = [
+        _column(base, i, k) for i in joints for k, kind in enumerate(COLUMNS) if (i, kind) not in present
+    ]  # fmt: skip
+    if not further:
+        return []
+    promised, left = promise(sums, chosen, further), sums.take(chosen).fit().residual
+    best: dict[int, tuple[float, int]] = {}
+    for k, column in enumerate(further):
+        joint, kind = _kind_of(base, column)
+        is_possible = not kind.is_positive or promised.value[k] > 0
+        # Weighed by what is left of each joint, every joint has the same share of the squares.
+        is_large = promised.decrease[k] > UNUSUAL_SHARE * left / len(joints)
+        if (
+            is_possible
+            and is_large
+            and promised.share[k] > SEPARABLE_SHARE
+            and abs(promised.ratio[k]) > TRIED_DEVIATIONS
+        ):
+            best[joint] = max(best.get(joint, (0.0, 0)), (float(promised.decrease[k]), column))
+    return [column for _, column in best.values()]
+
+
+def _find_idle(fit: BlockSolution, chosen: Sequence[int], base: int) -> list[int]:
+    """Of each joint the least sure effect that is not sure enough or has the wrong sign, an unusual one before a usual one."""
+    worst: dict[int, tuple[bool, float, int]] = {}
+    ratios = fit.x / np.where(fit.std > 0, fit.std, np.inf)
+    for column, ratio in zip(chosen, ratios, strict=True):
+        if column < base:
+            continue
+        joint, kind = _kind_of(base, column)
+        sure = ratio if kind.is_positive else abs(ratio)
+        if sure < NAMED_DEVIATIONS:
+            worst[joint] = min(worst.get(joint, (True, np.inf, 0)), (kind in USUAL, float(sure), column))
+    return [column for *_, column in worst.values()]
+
+
+def _follow_torques(log: _Log, base: int, chosen: Sequence[int], sums: BlockProducts) -> np.ndarray:
+    """Torques (3, N, n): measured, of the rigid bodies, with all effects; NaN where a row does not count."""
+    dq, ddq, tau = log.stack("dq"), log.stack("ddq"), log.stack("tau")
+    x = np.zeros(sums.size)
+    x[list(chosen)] = sums.take(chosen).fit().x
+    rigid = log.regressors @ x[:base]
+    rate = log.differentiate(rigid)
+    constants = x[base:].reshape(tau.shape[1], len(COLUMNS))
+    # Load, gain and lag rest on the torque of the rigid bodies, which is now better known.
+    effects = [effect_columns(dq[:, i], ddq[:, i], rigid[:, i], rate[:, i]) @ c for i, c in enumerate(constants)]
+    return np.where(log.counts, np.array([tau, rigid, rigid + np.column_stack(effects)]), np.nan)
+
+
+def _join_blocks(sums: BlockProducts, log: _Log, torques: np.ndarray, findings: list[Finding]) -> BlockProducts:
+    """The sums over blocks that are longer than what is left of the torques remembers."""
+    left = np.nan_to_num(torques[0] - torques[2])
+    size = 2 ** int(np.ceil(np.log2(2 * len(left))))
+    power = np.abs(np.fft.rfft(left, size, axis=0)) ** 2
+    correlation = np.fft.irfft(power, size, axis=0)[: len(left) // 2]
+    correlation = correlation[:, correlation[0] > 0] / correlation[0, correlation[0] > 0]
+    memory = int((correlation < FORGOTTEN).argmax(axis=0).max(initial=0))
+    count = len(left) / (BLOCK_MEMORIES * max(memory, 1))
+    if count < LEAST_BLOCKS:
+        seconds = {"memory": memory * log.motions[0].step, "rows": len(left) * log.motions[0].step}
+        findings.append(Finding(RobotCode.LONG_MEMORY, Severity.WARNING, values=seconds))
+    return sums.merge(int(min(max(count, LEAST_BLOCKS), len(sums.rows))))
+
+
+def _find_bias(
+    base: BaseParameters, logs: Sequence[Experiment], axes: Sequence[int], log: _Log, chosen: Sequence[int]
+) -> np.ndarray:
+    """By how much the noise of the position sensors has shifted the estimates (chosen,).
+
+    As much noise again shifts them by as much again (Cook, Stefanski, J. American Statistical Association 89, 1994); once with either
+    sign, so that what is linear in the noise cancels.
+    """
+    every = max(1, len(log.counts) // SHAKEN_ROWS)
+    estimates = []
+    for shake in (0.0, 1.0, -1.0):
+        table = _fill_table(_read_logs(base, logs, axes, shake, every), len(base.names))
+        estimates.append(_weigh_by_residual(table, chosen).take(chosen).fit().x)
+    return np.asarray((estimates[1] + estimates[2]) / 2 - estimates[0])
+
+
+def _conclude(
+    base: BaseParameters,
+    logs: Sequence[Experiment],
+    log: _Log,
+    table: _Table,
+    sums: BlockProducts,
+    chosen: Sequence[int],
+    bias: np.ndarray,
+    torques: np.ndarray,
+    findings: Sequence[Finding],
+) -> RobotIdentification:
+    """The fit in words: estimates with their intervals, effects with their grades, the comparison with the description."""
+    robot, B, fit = base.robot, len(base.names), sums.take(chosen).fit()
+    values, std = fit.x - bias, np.hypot(fit.std, bias)
+    reach = fit.quantile * std
+    sizes = _typical_sizes(base)
+    estimates = tuple(
+        BaseEstimate(
+            name,
+            base.describe(k),
+            base.units[k],
+            float(values[k]),
+            float(std[k]),
+            (float(values[k] - reach[k]), float(values[k] + reach[k])),
+            float(base.values[k]),
+            bool(fit.is_open[k] or reach[k] > OPEN_SHARE * sizes[k]),
+        )
+        for k, name in enumerate(base.names)
+    )
+    effects = []
+    for k, column in enumerate(chosen):
+        if column < B:
+            continue
+        i, kind = _kind_of(B, column)
+        grade, share, rival = _grade(table, sums, chosen, column, float(values[k] / std[k]))
+        unit = kind.units[robot.axes[i].kind is not JointKind.REVOLUTE]
+        interval = (float(values[k] - reach[k]), float(values[k] + reach[k]))
+        name = robot.axes[i].name
+        effects.append(
+            JointEffect(name, kind.name, float(values[k]), float(std[k]), interval, unit, grade, share, rival)
+        )
+    verdict, payload, further = _compare_with_description(base, sums, chosen)
+    further += [
+        Finding(RobotCode.RIVAL, subject=e.joint, values={"kind": e.kind, "rival": e.rival}) for e in effects if e.rival
+    ]
+    if motion := _say_motion(estimates):
+        names = [e.name for e in estimates if e.is_open]
+        further.append(Finding(RobotCode.OPEN_CONSTANTS, Severity.WARNING, values={"names": names, "motion": motion}))
+    return RobotIdentification(
+        robot.name,
+        robot.source,
+        tuple(each.name for each in logs),
+        len(log.counts),
+        len(sums.rows),
+        estimates,
+        tuple(sorted(effects, key=lambda e: [j.name for j in robot.axes].index(e.joint))),
+        _measure_joints(robot, table, sums, chosen),
+        verdict,
+        payload,
+        (*findings, *further),
+        np.concatenate([m.time for m in log.motions]),
+        torques,
+    )
+
+
+def _typical_sizes(base: BaseParameters) -> np.ndarray:
+    """For each base parameter (B,) the largest one of its unit on its link, or of all links where that is zero."""
+    units, links = np.array(base.units), base.columns // 10
+    result = np.empty(len(units))
+    for k in range(len(units)):
+        alike = np.abs(base.values) * (units == units[k])
+        result[k] = (alike * (links == links[k])).max() or alike.max()
+    return result
+
+
+def _grade(
+    table: _Table, sums: BlockProducts, chosen: Sequence[int], column: int, ratio: float
+) -> tuple[Grade, float, str]:
+    """What may be said of an effect, the share of its joint's rms error that it takes, and what would do nearly as well."""
+    B, joint = table.base, _kind_of(table.base, column)[0]
+    kind = _kind_of(B, column)[1]
+    without = [c for c in chosen if c != column]
+    left = _rms(table, sums, without)[joint]
+    share = 1 - _rms(table, sums, chosen)[joint] / left
+    others = [_column(B, joint, k) for k, other in enumerate(COLUMNS) if other is not kind]
+    further = [c for c in others if c not in chosen]
+    # Beside everything else that its joint may have, all at once.
+    separable = [c for c, s in zip(further, promise(sums, chosen, further).share, strict=True) if s > SEPARABLE_SHARE]
+    rich = [*chosen, *separable]
+    fit = sums.take(rich).fit()
+    place = rich.index(column)
+    beside = fit.x[place] / fit.std[place] * np.sign(ratio)
+    if beside > CERTAIN_DEVIATIONS and share > CERTAIN_SHARE:
+        return Grade.ESTABLISHED, float(share), ""
+    errors = {c: sums.take([*without, c]).fit().residual for c in further}
+    rival = min(errors, key=errors.__getitem__, default=None)
+    return Grade.PROBABLE, float(share), "" if rival is None else _kind_of(B, rival)[1].name
+
+
+def _rms(table: _Table, sums: BlockProducts, columns: Sequence[int]) -> np.ndarray:
+    """Rms (n,) that is left of each torque where these columns are fitted."""
+    x = np.zeros(sums.size)
+    x[list(columns)] = sums.take(columns).fit().x
+    return np.sqrt(table.measure(x))
+
+
+def _measure_joints(robot: Robot, table: _Table, sums: BlockProducts, chosen: Sequence[int]) -> tuple[JointMisfit, ...]:
+    torque = np.sqrt(table.measure(np.zeros(sums.size)))
+    rigid, final = _rms(table, sums, range(table.base)), _rms(table, sums, chosen)
+    return tuple(
+        JointMisfit(j.name, j.units[1], int(table.rows[i].sum()), float(torque[i]), float(rigid[i]), float(final[i]))
+        for i, j in enumerate(robot.axes)
+        if table.rows[i].sum()
+    )
+
+
+def _compare_with_description(
+    base: BaseParameters, sums: BlockProducts, chosen: Sequence[int]
+) -> tuple[RigidVerdict, Payload | None, list[Finding]]:
+    """Whether the rigid bodies are as described, or a payload on the last link or one factor is the difference."""
+    B = len(base.names)
+    inertia = [c for c in range(B, sums.size) if _kind_of(B, c)[1] is INERTIA]
+    # Where the links are as described, the inertia of each motor shows by itself.
+    effects = sorted({*chosen[B:], *inertia})
+    whole = sums.take([*range(B), *effects])
+
+    def fit(mixing: np.ndarray, described: float) -> BlockSolution:
+        """The rigid bodies as the description says, times ``described``, and with combinations (B, Z) of unknowns beside it."""
+        Q = np.zeros((B + len(effects), mixing.shape[1] + len(effects)))
+        Q[:B, : mixing.shape[1]], Q[B:, mixing.shape[1] :] = mixing, np.eye(len(effects))
+        return whole.substitute(Q, described * np.concatenate([base.values, np.zeros(len(effects))])).fit()
+
+    free = whole.fit()
+    scaled, loaded = fit(base.values[:, None], 0.0), fit(base.mixing[:, -10:], 1.0)
+    fits = {
+        RigidVerdict.AS_DESCRIBED: fit(np.zeros((B, 0)), 1.0),
+        RigidVerdict.SCALED: scaled,
+        RigidVerdict.PAYLOAD: loaded,
+    }
+    good = {
+        verdict: each.errors.sum()
+        for verdict, each in fits.items()
+        if each.errors.sum() < (1 + SAME_SHARE) * free.errors.sum() or not each.is_worse_than(free, BETTER_DEVIATIONS)
+    }
+    factor, spread = float(scaled.x[0]), float(scaled.std[0])
+    if abs(factor - 1) > SCALED_DEVIATIONS * spread:
+        good.pop(RigidVerdict.AS_DESCRIBED, None)
+    verdict = (
+        RigidVerdict.AS_DESCRIBED
+        if RigidVerdict.AS_DESCRIBED in good
+        else min(good, key=good.__getitem__, default=RigidVerdict.OTHER)
+    )
+    # The first of the ten constants is the mass, then come the first moments.
+    mass, std = float(loaded.x[0]), float(loaded.std[0])
+    if verdict is RigidVerdict.SCALED:
+        reach = scaled.quantile * spread
+        values = {"factor": factor, "low": factor - reach, "high": factor + reach}
+        return verdict, None, [Finding(RobotCode.SCALED, Severity.WARNING, base.robot.source, values)]
+    if verdict is not RigidVerdict.PAYLOAD or loaded.is_open[0]:
+        return RigidVerdict.OTHER if verdict is RigidVerdict.PAYLOAD else verdict, None, []
+    reach, (x, y, z) = loaded.quantile * std, (loaded.x[1:4] / mass).tolist()
+    return verdict, Payload(base.robot.joints[-1].link, mass, std, (mass - reach, mass + reach), (x, y, z)), []
+
+
+def _say_motion(base: Sequence[BaseEstimate]) -> str:
+    """The motion that would settle the base parameters that a record leaves open; "" where none is."""
+    moments = sorted({int(b.name.lstrip("Imxyz")) for b in base if b.is_open and b.unit == "kg m"})
+    inertias = sorted({int(b.name.lstrip("Imxyz")) for b in base if b.is_open and b.unit != "kg m"})
+    parts = []
+    # First moments show by their weight, moments of inertia by accelerations.
+    if moments:
+        parts.append(f"bring link {', '.join(map(str, moments))} into many poses")
+    if inertias:
+        parts.append(f"accelerate joint {', '.join(map(str, inertias))} harder, together with the joints before")
+    return " and ".join(parts)

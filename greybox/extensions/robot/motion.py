@@ -1,0 +1,200 @@
+"""Positions, velocities and accelerations of a log: filtered without a shift in time, differentiated, with what is left of the noise.
+
+Each axis is filtered forwards and backwards up to the frequency at which its motion sinks into the noise of its encoder (Gautier,
+Poignet, Control Engineering Practice 9, 2001, choose it by hand). Torques are not filtered: noise that no regressor has costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt, welch
+
+from greybox.base import DataError
+from greybox.base.values import ReadOnly
+from greybox.data.experiment import Experiment
+from greybox.data.noise.repeats import estimate_written_step
+
+# Order of the filter in each direction.
+FILTER_ORDER = 4
+# Above this share of the sampling rate the differences below are no derivatives any more.
+HIGHEST_CUTOFF = 0.1
+# A spectrum that is so many times its floor is motion, and no noise.
+MOTION_OVER_NOISE = 4.0
+# The floor is the median of a spectrum above this share of half the sampling rate.
+FLOOR_FROM = 0.6
+# Rows of a stretch of which a spectrum is averaged, at most; a record has four at least.
+SPECTRUM_ROWS = 4096
+# A longer step in the time of a record than so many usual ones is a gap, over which nothing can be differentiated.
+LONGEST_STEP = 5.0
+# Periods of the cutoff at both ends of a record where a filter still swings in.
+SWINGING_PERIODS = 2.0
+# An axis that moves more slowly than so many standard deviations of what noise is left in its velocity, or than this share of its usual
+# speed, may as well stand: what dry friction holds there is anything up to its level.
+RESTING_DEVIATIONS, RESTING_SHARE = 4.0, 0.02
+# ... or than this, in rad/s or m/s: nothing on Earth moves so slowly on purpose.
+RESTING_SPEED = 1e-6
+# Fewer rows than this show no motion that could be differentiated.
+LEAST_ROWS = 64
+# Central differences of sixth order for values three rows before to three rows after (Fornberg, Mathematics of Computation 51, 1988).
+FIRST_DIFFERENCE = np.array([-1, 9, -45, 0, 45, -9, 1]) / 60
+
+
+@dataclass(frozen=True, eq=False)
+class Motion(ReadOnly):
+    """A log as it is regressed on.
+
+    Parameters
+    ----------
+    time
+        Times (N,) in s, evenly spaced.
+    q, dq, ddq
+        Positions, velocities, accelerations (N, n).
+    tau
+        Torques (N, n) as measured; NaN where they were not.
+    is_moving
+        Where each axis moves (N, n): elsewhere dry friction may have any value up to its level.
+    cutoffs
+        Up to which frequency (n,) in Hz the motion of each axis was followed.
+    noise
+        Standard deviation (n,) of a single reading of each position, in rad or m.
+    is_measured
+        Whether the velocity of each axis (n,) is that of a sensor of its own, because it is less noisy than the differentiated position.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    dq: np.ndarray
+    ddq: np.ndarray
+    tau: np.ndarray
+    is_moving: np.ndarray
+    cutoffs: np.ndarray
+    noise: np.ndarray
+    is_measured: np.ndarray
+
+    def thin(self, every: int) -> Motion:
+        """Every so many-th row."""
+        rows = {name: getattr(self, name)[::every] for name in ("time", "q", "dq", "ddq", "tau", "is_moving")}
+        return replace(self, **rows)
+
+    @property
+    def step(self) -> float:
+        """Seconds between rows."""
+        return float(self.time[1] - self.time[0])
+
+
+def reconstruct_motion(
+    record: Experiment, axes: Sequence[int], shake: float = 0.0, *, keep_ends: bool = False
+) -> Motion:
+    """Filter and differentiate the positions ``q1`` ... of a record; velocities ``dq1`` ... are used where they are less noisy.
+
+    Parameters
+    ----------
+    record
+        Its columns ``q1`` ... ``qn`` in rad or m, ``tau1`` ... in N m or N, ``dq1`` ... in rad/s or m/s where there are some.
+    axes
+        Numbers (n,) of the axes in the names of the columns.
+    shake
+        Add so many times the noise that each reading has: what that changes tells what the noise of the sensors has changed.
+
+    keep_ends
+        Keep the rows at both ends where the filter swings in.
+
+    Returns
+    -------
+    Motion
+        Its rows.
+
+    Raises
+    ------
+    DataError
+        For a record that is too short, has gaps in time, or readings of position that are missing.
+    """
+    columns = {**record.inputs, **record.outputs}
+    time, step = _space_evenly(record)
+    n, rate, generator = len(time), 1 / step, np.random.default_rng(0)
+    empty = np.full(record.rows, np.nan)
+
+    def read(name: str) -> np.ndarray:
+        values = np.asarray(columns.get(name, empty))
+        return values if record.sampling_time else np.interp(time, record.time, values)
+
+    q, dq, ddq = np.empty((3, n, len(axes)))
+    tau = np.column_stack([read(f"tau{number}") for number in axes])
+    cutoffs, noise, quiet = np.empty((3, len(axes)))
+    is_measured = np.zeros(len(axes), bool)
+    for k, number in enumerate(axes):
+        position, velocity = read(f"q{number}"), read(f"dq{number}")
+        if not np.isfinite(position).all():
+            raise DataError(f"record {record.name!r}: {int((~np.isfinite(position)).sum())} readings of q{number} are missing; cut them off"
+                            " with --from and --until")  # fmt: skip
+        cutoffs[k], noise[k] = _find_cutoff(position, rate)
+        # White noise of density S behind a differentiator up to fc: S (2 pi)^2 fc^3 / 3.
+        density = 2 * noise[k] ** 2 / rate
+        quiet[k] = np.sqrt(density * (2 * np.pi) ** 2 * cutoffs[k] ** 3 / 3)
+        position = position + shake * noise[k] * generator.normal(size=n)
+        q[:, k] = _smooth(position, cutoffs[k], rate)
+        dq[:, k] = _differentiate(q[:, k], step)
+        if np.isfinite(velocity).all():
+            cutoff, level = _find_cutoff(velocity, rate)
+            remaining = level * np.sqrt(2 * cutoff / rate)
+            if remaining < quiet[k]:
+                is_measured[k], quiet[k] = True, remaining
+                cutoffs[k] = cutoff
+                velocity = velocity + shake * level * generator.normal(size=n)
+                dq[:, k] = _smooth(velocity, cutoff, rate)
+        ddq[:, k] = _differentiate(dq[:, k], step)
+    speed = np.sqrt(np.mean(dq**2, axis=0))
+    is_moving = np.abs(dq) > np.maximum.reduce(
+        [RESTING_DEVIATIONS * quiet, RESTING_SHARE * speed, np.full(len(axes), RESTING_SPEED)]
+    )
+    swing = min(int(np.ceil(SWINGING_PERIODS * rate / cutoffs.min())) + len(FIRST_DIFFERENCE), n // 8)
+    rows = slice(0, n) if keep_ends else slice(swing, n - swing)
+    return Motion(time[rows], q[rows], dq[rows], ddq[rows], tau[rows], is_moving[rows], cutoffs, noise, is_measured)
+
+
+def _space_evenly(record: Experiment) -> tuple[np.ndarray, float]:
+    """Times with one step. Raises DataError where that cannot be."""
+    if record.rows < LEAST_ROWS:
+        raise DataError(
+            f"record {record.name!r} has {record.rows} rows; at least {LEAST_ROWS} are needed to differentiate"
+        )
+    usual = float(np.median(np.diff(record.time)))
+    longest = int(np.argmax(np.diff(record.time)))
+    if np.diff(record.time)[longest] > LONGEST_STEP * usual:
+        raise DataError(
+            f"record {record.name!r} has a gap of {np.diff(record.time)[longest]:.3g} s after {record.time[longest]:.6g} s, over which"
+            " nothing can be differentiated; split it with --split-holes"
+        )
+    count = record.rows if record.sampling_time else int((record.time[-1] - record.time[0]) / usual) + 1
+    return record.time[0] + usual * np.arange(count), usual
+
+
+def _find_cutoff(values: np.ndarray, rate: float) -> tuple[float, float]:
+    """Frequency in Hz up to which a signal moves more than its noise, and the standard deviation of that noise in one reading."""
+    rows = min(SPECTRUM_ROWS, len(values) // 4)
+    frequency, power = welch(values, rate, "blackmanharris", rows, detrend="linear")
+    floor = float(np.median(power[frequency > FLOOR_FROM * rate / 2]))
+    # A written step is noise even where the signal stays within one: a step's width over root 12.
+    step = estimate_written_step([values])
+    floor = max(floor, 2 * step**2 / 12 / rate)
+    moving = np.flatnonzero(power > MOTION_OVER_NOISE * floor)
+    # The first frequency from which on noise is louder; a lone line further up is a disturbance.
+    quiet = np.flatnonzero(np.convolve(power > MOTION_OVER_NOISE * floor, np.ones(3), "same") == 0)
+    last = quiet[0] if len(quiet) else (moving[-1] if len(moving) else 1)
+    lowest = 4 * frequency[1]
+    cutoff = min(max(float(frequency[last]), lowest), HIGHEST_CUTOFF * rate)
+    return cutoff, float(np.sqrt(floor * rate / 2))
+
+
+def _smooth(values: np.ndarray, cutoff: float, rate: float) -> np.ndarray:
+    sections = butter(FILTER_ORDER, cutoff, fs=rate, output="sos")
+    # About a line from end to end: a filter swings in from what it is given first.
+    line = np.linspace(values[0], values[-1], len(values))
+    return np.asarray(sosfiltfilt(sections, values - line) + line)
+
+
+def _differentiate(values: np.ndarray, step: float) -> np.ndarray:
+    return np.convolve(np.pad(values, 3, mode="reflect", reflect_type="odd"), FIRST_DIFFERENCE[::-1], "valid") / step
