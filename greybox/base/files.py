@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import filecmp
+import hashlib
 import itertools
 import json
 import os
@@ -39,19 +40,48 @@ LEFTOVER_SECONDS = 3600.0
 PRIVATE = stat.S_IRUSR | stat.S_IWUSR
 
 
-# Files written since `watch_replaced` began, and whether each held something else before.
-_watched: ContextVar[dict[Path, bool] | None] = ContextVar("watched", default=None)
+# Files written since `watch_replaced` began, and the digest of what each held before; "" where it was not there or held the same.
+_watched: ContextVar[dict[Path, str] | None] = ContextVar("watched", default=None)
 
 
 @contextlib.contextmanager
-def watch_replaced() -> Iterator[Callable[[], list[Path]]]:
-    """The block whose files are watched; what is yielded lists those that stood there before it with another content."""
-    watched: dict[Path, bool] = {}
+def watch_replaced() -> Iterator[dict[Path, str]]:
+    """The block whose files are watched: what is yielded holds the digest of what stood there before each, "" where that was the same."""
+    watched: dict[Path, str] = {}
     token = _watched.set(watched)
     try:
-        yield lambda: [path for path, other in watched.items() if other]
+        yield watched
     finally:
         _watched.reset(token)
+
+
+# Written files of which is remembered what they held: those of some hundred commands.
+MOST_REMEMBERED = 500
+
+
+def list_foreign(written: Mapping[Path, str], command: str, memory: Path) -> list[Path]:
+    """Of files that were ``written`` over something else those that were no earlier output of the same ``command``.
+
+    ``written``: as `watch_replaced` gives it. What they hold now is kept in the file ``memory``; one that is lost or damaged remembers
+    nothing.
+    """
+    known: dict[str, list[str]] = {}
+    with contextlib.suppress(OSError, ValueError):
+        known = dict(json.loads(memory.read_text(encoding="utf-8")))
+    asked = hashlib.sha256(command.encode()).hexdigest()[:16]
+    places = {path: os.path.realpath(path) for path in written}
+    foreign = [path for path, before in written.items() if before and known.get(places[path]) != [before, asked]]
+    now = {places[path]: [compute_digest(path), asked] for path in written if path.is_file()}
+    kept = list({**{p: v for p, v in known.items() if p not in now}, **now}.items())[-MOST_REMEMBERED:]
+    with contextlib.suppress(OSError):
+        write_file(memory, json.dumps(dict(kept)), private=True)
+    return foreign
+
+
+def compute_digest(path: Path) -> str:
+    """16 hex digits of the SHA-256 of what a file holds."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
 def write_file(
@@ -111,7 +141,8 @@ def write_file(
             os.fsync(file.fileno())
         # Of a file that is written twice in the block the first content counts: the second is no older one.
         if (watched := _watched.get()) is not None and target not in watched:
-            watched[target] = mode is not None and not filecmp.cmp(part, final, shallow=False)
+            is_other = mode is not None and not filecmp.cmp(part, final, shallow=False)
+            watched[target] = compute_digest(final) if is_other else ""
         # On Windows another program may hold the old file for a moment.
         for pause in (0.05, 0.2, 1.0, 0.0) if sys.platform == "win32" else (0.0,):
             try:

@@ -56,10 +56,7 @@ def inspect_course(values: np.ndarray) -> CourseEvidence:
     if not len(moves):
         return CourseEvidence.STEPS
     step, slope, bend = moves.min(), np.mean(first**2), np.mean(np.diff(first) ** 2) if len(first) > 1 else math.inf
-    # A floor below the smallest move is rounding: of a sensor's readings, or of a table of commands.
-    variance = _find_white_floor(values) or 0.0
-    moves_evenly = np.median(np.abs(first)) > EVEN_MOVE * math.sqrt(slope)
-    if moves_evenly and variance > step**2 and 2 * variance < np.var(values) / 2:
+    if variance := find_input_noise(values) ** 2:
         # White noise of variance s^2 has first differences of 2 s^2, and second ones of 6 s^2.
         slope, bend = slope - 2 * variance, bend - 6 * variance
         if slope * MOST_NOISE < 2 * variance:
@@ -70,6 +67,17 @@ def inspect_course(values: np.ndarray) -> CourseEvidence:
         return CourseEvidence.NONE
     is_coarse = np.median(moves) <= COARSE_STEPS * step and np.ptp(values) > COARSE_LEVELS * step
     return CourseEvidence.NONE if is_coarse else CourseEvidence.STEPS
+
+
+def find_input_noise(values: np.ndarray) -> float:
+    """Standard deviation of the white noise of the sensor that measured an input (N,); zero where its values show none."""
+    moves = np.abs(np.diff(values))
+    slope, moved = np.mean(moves**2), moves[moves > ROUNDED_MOVE * np.ptp(values)]
+    variance = _find_white_floor(values) or 0.0
+    moves_evenly = np.median(moves) > EVEN_MOVE * math.sqrt(slope)
+    # A floor below the smallest move is rounding: of a sensor's readings, or of a table of commands.
+    shows = moves_evenly and len(moved) and variance > moved.min() ** 2 and 2 * variance < np.var(values) / 2
+    return math.sqrt(variance) if shows else 0.0
 
 
 # Rows from which a spectrum tells a floor.

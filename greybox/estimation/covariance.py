@@ -82,6 +82,18 @@ class ParameterCovariance:
             known = np.where(nothing[:, None] | nothing, np.nan, self.covariance)
             object.__setattr__(self, "covariance", known)
 
+    def with_spread(self, spread: np.ndarray) -> ParameterCovariance:
+        """With the covariance (nf, nf) of something else that moves the constants, which nothing here knows of."""
+        # A constant at its bound has none, and one that is open stays so.
+        known = np.isfinite(self.covariance)
+        covariance = np.where(known, self.covariance + spread, self.covariance)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            growth = np.sqrt(np.diag(covariance) / np.diag(self.covariance))
+        inflation = self.inflation * np.where(np.isfinite(growth), growth, 1.0)
+        return replace(
+            self, covariance=covariance, inflation=inflation, spread=self.spread + np.where(known, spread, 0.0)
+        )
+
     @classmethod
     def unknown(cls, variables: DecisionVector) -> ParameterCovariance:
         """That of the constants where there is no optimum."""

@@ -50,6 +50,8 @@ class EstimationCode(StrEnum):
     # How an input moves between rows, by what it does to the constants and to the residual.
     INPUT_COURSE_CONTRADICTED = "input_course_contradicted"
     INPUT_COURSE_OPEN = "input_course_open"
+    INPUT_NOISE_COUNTED = "input_noise_counted"
+    INPUT_NOISE_BIASES = "input_noise_biases"
     # What the constants and the residual say.
     MODEL_DOES_NOT_FOLLOW = "model_does_not_follow"
     NO_FREEDOM = "no_freedom"
@@ -268,6 +270,7 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
         severity = Severity.ERROR if far else Severity.WARNING
         warn(EstimationCode.MODEL_DOES_NOT_FOLLOW, severity, best_fit=far | short)
     result += _find_other_courses(optimum)
+    result += _find_input_noise(optimum)
     # What the data leave open, and what only looks determined.
     if covariance.degrees == 0:
         count = sum(int(np.isfinite(r.y).sum()) for r in problem.records)
@@ -341,11 +344,22 @@ def _find_other_courses(optimum: Optimum) -> list[Finding]:
     deviations = np.sqrt(np.diag(covariance.covariance))
     # Correlated rows are worth fewer: the intervals know how many fewer.
     inflation = float(np.nanmax(covariance.inflation, initial=1.0)) ** 2
+    judged = []
     for other in optimum.other_courses:
         # What a residual above the noise leaves is noise to a comparison of two courses.
         squares = optimum.objective.squares
         left = 1.0 if squares is None else max(1.0, (optimum.evaluation.cost - max(other.gain, 0.0)) / squares)
-        odds = other.gain / (left * inflation)
+        judged.append((other.gain / (left * inflation), other))
+    together = [(odds, other) for odds, other in judged if len(other.courses) > 1]
+    alone = [(odds, other) for odds, other in judged if len(other.courses) == 1]
+    if together and together[0][0] > max(0.0, *(odds for odds, _ in alone)) + COURSE_CONFIRMED:
+        alone = together
+    for odds, other in alone:
+        values: dict[str, Any] = {"courses": dict(other.courses), "odds": odds, "changes": {}}
+        subject = " and ".join(other.courses)
+        if other.change is None:
+            result.append(Finding(EstimationCode.INPUT_COURSE_OPEN, Severity.WARNING, subject, values))
+            continue
         with np.errstate(divide="ignore", invalid="ignore"):
             sizes = np.nan_to_num(np.abs(other.change) / deviations, posinf=0.0)
         if odds > COURSE_CONTRADICTED:
@@ -354,14 +368,46 @@ def _find_other_courses(optimum: Optimum) -> list[Finding]:
             code = EstimationCode.INPUT_COURSE_OPEN
         else:
             continue
-        listed = [int(k) for k in np.argsort(-sizes) if sizes[k] > COURSE_MATTERS][:LISTED_CHANGES]
-        changes = {
-            variables.names[k]: [float(variables.base[k]), float(variables.base[k] + other.change[k]), float(sizes[k])]
-            for k in listed
-        }
-        values = {"course": other.course, "odds": odds, "changes": changes}
-        result.append(Finding(code, Severity.WARNING, other.input, values))
+        values["changes"] = _list_changes(variables, other.change, sizes, COURSE_MATTERS)
+        result.append(Finding(code, Severity.WARNING, subject, values))
     return result
+
+
+# Bias of a constant, in its standard deviations, from which the noise of an input is said to cause it: of 95 % intervals half a deviation
+# leaves 92.
+NOISE_BIASES = 0.5
+# Standard deviation over the one without the noise of inputs from which it is said that the interval counts it.
+NOISE_COUNTS = 1.2
+
+
+def _find_input_noise(optimum: Optimum) -> list[Finding]:
+    """What the noise of measured inputs does to the constants, where it matters to one."""
+    # A filter takes what the noise of an input adds to the run for process noise, and its intervals count that.
+    noise, variables = None if isinstance(optimum, PredictionOptimum) else optimum.input_noise, optimum.variables
+    if noise is None:
+        return []
+    variance = np.diag(optimum.covariance.covariance)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sizes = np.nan_to_num(np.abs(noise.bias) / np.sqrt(variance), posinf=0.0)
+        growth = np.nan_to_num(np.sqrt(variance / (variance - np.diag(noise.spread))), posinf=0.0)
+    units = {i.name: i.unit for i in optimum.model.inputs}
+    values = {"levels": {name: [level, units[name]] for name, level in noise.levels.items()}}
+    if sizes.max() <= NOISE_BIASES:
+        counted = [variables.names[int(k)] for k in np.argsort(-growth) if growth[k] > NOISE_COUNTS]
+        return [Finding(EstimationCode.INPUT_NOISE_COUNTED, values={**values, "counted": counted})] if counted else []
+    changes = _list_changes(variables, -noise.bias, sizes, NOISE_BIASES)
+    return [Finding(EstimationCode.INPUT_NOISE_BIASES, Severity.WARNING, "", {**values, "changes": changes})]
+
+
+def _list_changes(
+    variables: DecisionVector, change: np.ndarray, sizes: np.ndarray, least: float
+) -> dict[str, list[float]]:
+    """Value, other value and size of the constants that a ``change`` (nf,) moves most, by more than ``least`` of their deviations."""
+    listed = [int(k) for k in np.argsort(-sizes) if sizes[k] > least][:LISTED_CHANGES]
+    return {
+        variables.names[k]: [float(variables.base[k]), float(variables.base[k] + change[k]), float(sizes[k])]
+        for k in listed
+    }
 
 
 def _find_unmet_relations(optimum: Optimum) -> list[Finding]:

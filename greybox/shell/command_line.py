@@ -11,7 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from greybox.base import ExitCode, Finding, GreyboxError
-from greybox.base.files import watch_replaced
+from greybox.base.files import list_foreign, watch_replaced
 from greybox.base.texts import to_word, wrap
 from greybox.shell.study import Answer, Command, Option, Study
 from greybox.shell.study_file import is_study_file, read_study, with_overrides, write_study
@@ -63,13 +63,18 @@ def make_command(name: str, command: Command, commands: Mapping[str, Command]) -
         if target is not None:
             _write_study(ctx, study, target, command.like or name, commands)
             return
-        with watch_replaced() as replaced:
+        from greybox.simulation.kernel.c_compiler import find_cache_folder
+
+        with watch_replaced() as written:
             try:
                 answer = command.run(study)
                 if answer is not None:
                     _show(answer, study, commands)
             finally:
-                if (files := replaced()) and not study.silent:
+                cache = find_cache_folder()
+                outputs = {path: before for path, before in written.items() if cache not in path.parents}
+                files = list_foreign(outputs, f"{name} {sorted(ctx.params.items())}", cache / "outputs.json")
+                if files and not study.silent:
                     print_findings([Finding(CommandCode.FILES_REPLACED, values={"files": files})])
 
     lines = "\n".join(f"  {line}" for line in command.examples)

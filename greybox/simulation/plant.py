@@ -265,6 +265,11 @@ class PlantRecord(Record):
         course: Hold = "first" if other.is_linear[column] else "zero"
         return replace(other, experiment=self.experiment.with_hold({name: course}))
 
+    def with_inputs(self, u: np.ndarray, names: Sequence[str]) -> PlantRecord:
+        """The record with other values (N, nu) of its inputs, which have these names."""
+        inputs = {**self.experiment.inputs, **dict(zip(names, u.T, strict=True))}
+        return replace(self, u=u, experiment=replace(self.experiment, inputs=inputs))
+
 
 def to_plant_record(model: PlantModel, experiment: Experiment) -> PlantRecord:
     """An experiment with its columns in the order of the plant's signals; an output that was not measured is a column of NaN.

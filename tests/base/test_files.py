@@ -18,7 +18,7 @@ import pytest
 
 from greybox.base import files
 from greybox.base.errors import GreyboxError, OutputError
-from greybox.base.files import append_line, watch_replaced, write_file
+from greybox.base.files import append_line, list_foreign, watch_replaced, write_file
 
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="limits and signals of POSIX")
 
@@ -188,11 +188,28 @@ def test_a_line_after_one_that_was_cut_short_stands_alone(tmp_path):
 def test_what_held_something_else_before_is_known(tmp_path: Path) -> None:
     for name, text in {"same": "1", "other": "1", "longer": "1"}.items():
         (tmp_path / name).write_text(text)
-    with watch_replaced() as replaced:
+    with watch_replaced() as written:
         for name, text in {"same": "1", "other": "2", "longer": "11", "new": "1"}.items():
             write_file(tmp_path / name, text)
         # A result that is completed replaces no older one.
         write_file(tmp_path / "new", "2")
-        assert replaced() == [tmp_path / "other", tmp_path / "longer"]
     write_file(tmp_path / "same", "2")
-    assert replaced() == [tmp_path / "other", tmp_path / "longer"]
+    assert [path.name for path, before in written.items() if before] == ["other", "longer"]
+
+
+def test_an_earlier_output_of_the_same_command_is_no_foreign_content(tmp_path: Path) -> None:
+    target, memory = tmp_path / "fit.json", tmp_path / "memory.json"
+
+    def run(text: str, command: str) -> list[Path]:
+        with watch_replaced() as written:
+            write_file(target, text)
+        return list_foreign(written, command, memory)
+
+    assert not run("1", "fit a")
+    assert not run("2", "fit a") and not run("3", "fit a")
+    assert run("4", "fit b") == [target]
+    target.write_text("notes of my own")
+    assert run("5", "fit b") == [target]
+    memory.write_text("damaged")
+    assert run("6", "fit b") == [target]
+    assert not run("7", "fit b")

@@ -51,7 +51,7 @@ def test_the_records_contradict_a_wrong_course_and_confirm_a_right_one(name: str
     fit, mistaken = gb.fit(lag, record), gb.fit(lag, record.with_hold(wrong))
     assert not find(fit)
     (finding,) = find(mistaken)
-    assert (finding.code, finding.subject, finding.values["course"]) == (CODES[0], "u", right)
+    assert (finding.code, finding.subject, finding.values["courses"]) == (CODES[0], "u", {"u": right})
     # One step to the other course ends where a fit with it does, within a fifth of what was wrong.
     for constant, (before, after, deviations) in finding.values["changes"].items():
         assert before == pytest.approx(mistaken.parameters[constant].value)
@@ -63,7 +63,7 @@ def test_steps_that_were_said_to_be_straight_are_contradicted() -> None:
     u = np.repeat(np.random.default_rng(2).normal(size=ROWS // 10), 10)
     y = measure(u, False, 0.02)
     (finding,) = find(gb.fit(lag, Experiment.from_arrays(TIME, {"u": u}, {"y": y}, hold="first")))
-    assert (finding.code, finding.values["course"]) == (CODES[0], "zero")
+    assert (finding.code, finding.values["courses"]) == (CODES[0], {"u": "zero"})
     assert not find(gb.fit(lag, Experiment.from_arrays(TIME, {"u": u}, {"y": y})))
 
 
@@ -83,7 +83,7 @@ def test_the_filter_tells_the_course_too() -> None:
     pushed = lag.with_process_noise(y=0.01)
     record = Experiment.from_arrays(TIME, {"u": u}, {"y": y}, hold="zero")
     (finding,) = find(gb.fit(pushed, record))
-    assert (finding.code, finding.values["course"]) == (CODES[0], "first")
+    assert (finding.code, finding.values["courses"]) == (CODES[0], {"u": "first"})
     assert not find(gb.fit(pushed, record.with_hold("first")))
 
 

@@ -498,6 +498,9 @@ def test_a_file_with_other_content_is_not_replaced_without_a_word(run: Run, tmp_
     assert run(*drive, "--step", 1).stderr == ""
     assert run(*drive, "--step", 1).stderr == ""  # the same once more
     assert run(*drive, "--step", 2).stderr == "note: y.csv held something else and was overwritten\n"
+    # What the same command wrote is replaced silently, also where its results are others; what somebody put there is not.
+    (tmp_path / "y.csv").write_text("mine")
+    assert run(*drive, "--step", 2).stderr == "note: y.csv held something else and was overwritten\n"
 
 
 def test_a_constant_in_no_equation_is_noted(run: Run, tmp_path: Path) -> None:

@@ -200,18 +200,53 @@ _COURSES = {"zero": "held between its rows", "first": "straight between its rows
 
 
 def _write_course_contradicted(finding: Finding) -> str:
-    course = _COURSES[finding.values["course"]]
     changes = f", with {_list_changes(finding)}" if finding.values["changes"] else ""
-    return (
-        f"the records fit better with input {finding.subject} {course}{changes}: {_course_remedy(finding, 'fit anew')}"
-    )
+    return f"the records fit better with input {_list_courses(finding)}{changes}: {_course_remedy(finding, 'fit anew')}"
 
 
 def _write_course_open(finding: Finding) -> str:
+    courses, remedy = _list_courses(finding), _course_remedy(finding, "if it moves so, fit anew")
+    if not finding.values["changes"]:
+        return f"how input {finding.subject} moves between its rows may matter, and could not be compared with {courses}; {remedy}"
     return (
-        f"the records do not tell whether input {finding.subject} is held between its rows or straight, and it matters:"
-        f" {_COURSES[finding.values['course']]} it would give {_list_changes(finding)};"
-        f" {_course_remedy(finding, 'if it moves so, fit anew')}"
+        f"the records do not tell how input {finding.subject} moves between its rows, and it matters: with {courses} they would give"
+        f" {_list_changes(finding)}; {remedy}"
+    )
+
+
+def _list_courses(finding: Finding) -> str:
+    """``u straight between its rows, and d held between its rows``."""
+    by_course: dict[str, list[str]] = {}
+    for name, course in _courses(finding).items():
+        by_course.setdefault(course, []).append(name)
+    return ", and ".join(f"{' and '.join(names)} {_COURSES[course]}" for course, names in by_course.items())
+
+
+def _courses(finding: Finding) -> dict[str, str]:
+    # Files of earlier versions have one.
+    return dict(finding.values.get("courses") or {finding.subject: finding.values["course"]})
+
+
+def _course_remedy(finding: Finding, what: str) -> str:
+    courses = _courses(finding)
+    options = " ".join(f"--interpolate {name}={course}" for name, course in courses.items())
+    return f"{what} with hold={courses!r} (shell: {options})"
+
+
+def _write_input_noise(finding: Finding) -> str:
+    levels = finding.values["levels"].items()
+    inputs = " and ".join(f"{name} (about {wording.with_unit(f'{level:.2g}', unit)})" for name, (level, unit) in levels)
+    return f"input{'s' * (len(levels) > 1)} {inputs} {'were' if len(levels) > 1 else 'was'} measured with noise"
+
+
+def _write_noise_counted(finding: Finding) -> str:
+    return f"{_write_input_noise(finding)}: the intervals of {', '.join(finding.values['counted'])} count it"
+
+
+def _write_noise_biases(finding: Finding) -> str:
+    return (
+        f"{_write_input_noise(finding)}, which the fit takes for movement: without it, about {_list_changes(finding)}; smooth the input"
+        " over a few rows, or take what drives it"
     )
 
 
@@ -220,11 +255,6 @@ def _list_changes(finding: Finding) -> str:
     return ", ".join(
         f"{n} = {new:.5g} for {old:.5g} ({size:.2g} standard deviations)" for n, (old, new, size) in changes
     )
-
-
-def _course_remedy(finding: Finding, what: str) -> str:
-    course = finding.values["course"]
-    return f"{what} with hold={{'{finding.subject}': '{course}'}} (shell: --interpolate {finding.subject}={course})"
 
 
 def _write_step_shifts(finding: Finding) -> str:
@@ -465,6 +495,8 @@ register(
         ),
         EstimationCode.INPUT_COURSE_CONTRADICTED: _write_course_contradicted,
         EstimationCode.INPUT_COURSE_OPEN: _write_course_open,
+        EstimationCode.INPUT_NOISE_COUNTED: _write_noise_counted,
+        EstimationCode.INPUT_NOISE_BIASES: _write_noise_biases,
         EstimationCode.STEP_MOVES_PARAMETERS: _write_step_shifts,
         EstimationCode.VALIDATION_ERROR_LARGER: (
             "the simulation error in {subject} is {ratio:.1f} times that on the estimation records: a free run accumulates small errors"

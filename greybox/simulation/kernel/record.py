@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -111,6 +112,10 @@ class Record:
         is_linear = self.is_linear.copy()
         is_linear[column] = 1.0 - is_linear[column]
         return replace(self, is_linear=is_linear)
+
+    def with_inputs(self, u: np.ndarray, names: Sequence[str]) -> Record:
+        """The record with other values (N, nu) of its inputs, which have these names."""
+        return replace(self, u=u)
 
     def first(self, rows: int) -> Record:
         """The beginning of the record."""

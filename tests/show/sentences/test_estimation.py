@@ -317,23 +317,50 @@ GOLDEN = [
     (
         "input_course_contradicted",
         "u",
-        {"course": "first", "odds": 91.2, "changes": {"tau": [0.468, 0.4993, 13.7], "K": [1.968, 1.998, 9.8]}},
+        {"courses": {"u": "first"}, "odds": 91.2, "changes": {"tau": [0.468, 0.4993, 13.7], "K": [1.968, 1.998, 9.8]}},
         "the records fit better with input u straight between its rows, with tau = 0.4993 for 0.468 (14 standard deviations), K = 1.998"
         " for 1.968 (9.8 standard deviations): fit anew with hold={'u': 'first'} (shell: --interpolate u=first)",
     ),
     (
         "input_course_contradicted",
         "u",
-        {"course": "zero", "odds": 40.0, "changes": {}},
+        {"courses": {"u": "zero"}, "odds": 40.0, "changes": {}},
         "the records fit better with input u held between its rows: fit anew with hold={'u': 'zero'} (shell: --interpolate u=zero)",
+    ),
+    (
+        "input_course_contradicted",
+        "P and Ta",
+        {"courses": {"P": "zero", "Ta": "first"}, "odds": 40.0, "changes": {}},
+        "the records fit better with input P held between its rows, and Ta straight between its rows: fit anew with hold={'P': 'zero',"
+        " 'Ta': 'first'} (shell: --interpolate P=zero --interpolate Ta=first)",
     ),
     (
         "input_course_open",
         "u",
+        # As files of earlier versions have it.
         {"course": "first", "odds": 1.5, "changes": {"tau": [0.47, 0.5, 4.06]}},
-        "the records do not tell whether input u is held between its rows or straight, and it matters: straight between its rows it would"
-        " give tau = 0.5 for 0.47 (4.1 standard deviations); if it moves so, fit anew with hold={'u': 'first'} (shell: --interpolate"
-        " u=first)",
+        "the records do not tell how input u moves between its rows, and it matters: with u straight between its rows they would give"
+        " tau = 0.5 for 0.47 (4.1 standard deviations); if it moves so, fit anew with hold={'u': 'first'} (shell: --interpolate u=first)",
+    ),
+    (
+        "input_course_open",
+        "u",
+        {"courses": {"u": "zero"}, "odds": None, "changes": {}},
+        "how input u moves between its rows may matter, and could not be compared with u held between its rows; if it moves so, fit anew"
+        " with hold={'u': 'zero'} (shell: --interpolate u=zero)",
+    ),
+    (
+        "input_noise_counted",
+        "",
+        {"levels": {"u": [0.0123, "V"]}, "counted": ["K", "tau"]},
+        "input u (about 0.012 V) was measured with noise: the intervals of K, tau count it",
+    ),
+    (
+        "input_noise_biases",
+        "",
+        {"levels": {"u": [0.0123, "V"], "d": [2.0, "1"]}, "changes": {"K": [1.9, 2.0, 1.24]}},
+        "inputs u (about 0.012 V) and d (about 2) were measured with noise, which the fit takes for movement: without it, about K = 2"
+        " for 1.9 (1.2 standard deviations); smooth the input over a few rows, or take what drives it",
     ),
     (
         "step_moves_parameters",
