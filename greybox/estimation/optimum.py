@@ -37,6 +37,7 @@ from greybox.estimation.transcription.problem import EstimationProblem, Runs, So
 from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.model import Model
 from greybox.simulation.kernel.record import Record
+from greybox.simulation.plant_kernel import PlantKernel
 
 
 def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[Trace, ...]:
@@ -241,11 +242,11 @@ class Optimum(ABC):
     def _step_with(self, records: tuple[Record, ...], steps: int = 1) -> tuple[np.ndarray, float] | None:
         """Change of each free constant (nf,) by some steps with other ``records`` of the same rows, and by how much the cost is less then.
 
-        The steps to the optimum with these and with the own records are compared, so that what the search has left over does not count.
+        The steps to the optimum with these and with the present records are compared, so that what the search has left over does not count.
         None where the runs over them are not finite.
         """
         variables, (low, high), objective = self.variables, self._step_bounds, self.objective.with_records(records)
-        gone, result, (step, own) = np.zeros(variables.size), None, self._step_here
+        gone, result, (step, cost) = np.zeros(variables.size), None, self._step_here
         for _ in range(steps):
             evaluation = objective.evaluate(variables.here + gone)
             if not (np.isfinite(evaluation.cost) and evaluation.is_finite):
@@ -285,10 +286,11 @@ class Optimum(ABC):
                 column = [i.name for i in problem.model.inputs].index(n)
                 pairs = zip(records, swapped[n], present, strict=True)
                 records = tuple(r if s is o else r.with_other_course(column, n) for r, s, o in pairs)
-            # Far from the own optimum a second step corrects what the first foretold of a curved plant.
+            # Far from this optimum a second step corrects what the first foretold of a curved plant; where runs have a price one is enough.
+            steps = 1 if isinstance(problem.kernel, PlantKernel) else 2
             if self.solution.joined:
                 result.append(OtherCourse({n: courses[n] for n in names}))
-            elif seen := self._step_with(records, 2):
+            elif seen := self._step_with(records, steps):
                 result.append(OtherCourse({n: courses[n] for n in names}, *seen))
         return tuple(result)
 
