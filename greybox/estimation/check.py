@@ -290,12 +290,12 @@ def check(
             structure = analyse_structural_identifiability(model, measured, at_rest=options.at_rest)
     except DataError as error:  # of a model that overflows; the records are still looked at
         doubt = str(error)
-    practical = analyse_problem(problem, structure)
+    practical = analyse_problem(problem, structure, options.integration)
     twins = () if practical.failure else find_twins(problem)
     # Where constants that may change places start equal no slope tells them apart: what to expect of them is asked where they differ.
     apart = move_apart(problem, twins)
     if apart is not problem:
-        practical = analyse_problem(apart, structure)
+        practical = analyse_problem(apart, structure, options.integration)
     return ModelCheck(
         model,
         model.has_equations and model.system.linear,

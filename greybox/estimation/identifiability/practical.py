@@ -21,13 +21,19 @@ from greybox.estimation.identifiability.combinations import (
     simplicity_key,
 )
 from greybox.estimation.identifiability.excitation import Excitation, analyse_excitation
-from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode
-from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
+from greybox.estimation.identifiability.sensitivity import RANDOM_EXPERIMENT_NOISE_SHARE, IdentifiabilityCode
+from greybox.estimation.identifiability.structural import (
+    StructuralIdentifiability,
+    add_sensors,
+    analyse_structural_identifiability,
+    find_unmeasured_states,
+)
 from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
 from greybox.model import Model
+from greybox.simulation.simulate import simulate
 
 
 @dataclass(frozen=True)
@@ -146,11 +152,12 @@ def analyse_practical_identifiability(
     >>> analyse_practical_identifiability(model, record, noise={"x": 2e-7}).undetermined  # doctest: +SKIP
     ('La',)
     """
-    problem = prepare_problem(model, experiments, noise, FitOptions(at_rest=at_rest, method=method, substeps=substeps))
+    options = FitOptions(at_rest=at_rest, method=method, substeps=substeps)
+    problem = prepare_problem(model, experiments, noise, options)
     if structure is None and model.has_equations:
         measured = list_measured_outputs(problem)
         structure = analyse_structural_identifiability(model, measured, at_rest=at_rest)
-    return analyse_problem(problem, structure)
+    return analyse_problem(problem, structure, options)
 
 
 def list_measured_outputs(problem: EstimationProblem) -> list[str]:
@@ -168,9 +175,9 @@ DIRECTION_WEIGHT = 0.3
 
 
 def analyse_problem(
-    problem: EstimationProblem, structure: StructuralIdentifiability | None
+    problem: EstimationProblem, structure: StructuralIdentifiability | None, options: FitOptions
 ) -> PracticalIdentifiability:
-    """`analyse_practical_identifiability` for a problem that is laid out already; ``structure`` is None where it is not known."""
+    """`analyse_practical_identifiability` for a problem that ``options`` laid out; ``structure`` is None where it is not known."""
     variables, n = problem.variables, len(problem.variables.names)
     drives = tuple(analyse_excitation(e, problem.model, structure=structure) for e in problem.experiments)
     if not n:
@@ -208,8 +215,14 @@ def analyse_problem(
     constants = _estimate_precision(problem, information, samples)
     findings: list[Finding] = []
     if structure and total < structure.rank:
-        figures = {"structure": structure.rank, "records": total, "driven": bool(problem.model.inputs)}
-        findings.append(Finding(IdentifiabilityCode.RECORDS_SHOW_FEWER, Severity.WARNING, values=figures))
+        sensors = _find_telling_sensors(problem, options, total)
+        found = {
+            "structure": structure.rank,
+            "records": total,
+            "driven": bool(problem.model.inputs),
+            "sensors": sensors,
+        }
+        findings.append(Finding(IdentifiabilityCode.RECORDS_SHOW_FEWER, Severity.WARNING, values=found))
     if averaged:
         figures = {"averaged": averaged, "total": total}
         findings.append(Finding(IdentifiabilityCode.AVERAGING_ONLY, Severity.WARNING, values=figures))
@@ -219,6 +232,30 @@ def analyse_problem(
     return PracticalIdentifiability(
         constants, rank, averaged, above, by_averaging, weakest, std, drives, tuple(findings)
     )
+
+
+def _find_telling_sensors(problem: EstimationProblem, options: FitOptions, least: int) -> list[str]:
+    """States that nobody measures, of which a sensor would let the same records show more than ``least`` combinations.
+
+    Each is tried: its run at the present values is the reading, with the noise of a sensor that suits its movement.
+    """
+    telling, runs = [], [simulate(problem.model, e) for e in problem.experiments]
+    measured = {name: float(problem.noise.std[j]) for j, name in enumerate(problem.noise.outputs)}
+    measured = {name: std for name, std in measured.items() if name in list_measured_outputs(problem)}
+    for state in find_unmeasured_states(problem.model):
+        movement = max(float(np.std(run.states[state])) for run in runs)
+        if not (np.isfinite(movement) and movement > 0):
+            continue
+        records = [
+            e.with_outputs({**e.outputs, state: run.states[state]})
+            for e, run in zip(problem.experiments, runs, strict=True)
+        ]
+        noise = {**measured, state: RANDOM_EXPERIMENT_NOISE_SHARE * movement}
+        sensed = prepare_problem(add_sensors(problem.model, [state]), records, noise, options)
+        found = analyse_problem(sensed, None, options)
+        if found.rank + found.averaged > least:
+            telling.append(state)
+    return telling
 
 
 def _estimate_precision(

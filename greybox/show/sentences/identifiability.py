@@ -120,7 +120,8 @@ register(
         " at {fastest:.3g} rad/s; excite up to that frequency",
         IdentifiabilityCode.RECORDS_SHOW_FEWER: lambda f: (
             f"any record can determine {f.values['structure']} combinations, these records only {f.values['records']}: use another"
-            f" {'input' if f.values.get('driven', True) else 'initial state'} or reduce the noise; another sensor does not help"
+            f" {'input' if f.values.get('driven', True) else 'initial state'}, reduce the noise"
+            + (f", or measure {' or '.join(f.values['sensors'])}" if f.values.get("sensors") else "")
         ),
         IdentifiabilityCode.AVERAGING_ONLY: "{averaged} of {total} combinations are determined only by averaging the noise, which requires"
         " white noise and a model error far below the noise: do not rely on them",

@@ -12,7 +12,11 @@ from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Param
 from greybox.base.errors import DataError, ModelError
 from greybox.data.signals import multisine
 from greybox.estimation.identifiability.excitation import analyse_excitation, excitation_order
-from greybox.estimation.identifiability.practical import analyse_practical_identifiability, recommend_after_fit
+from greybox.estimation.identifiability.practical import (
+    PracticalIdentifiability,
+    analyse_practical_identifiability,
+    recommend_after_fit,
+)
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode as Code
 from greybox.estimation.identifiability.structural import IdentifiabilityVerdict as Verdict
 from greybox.estimation.identifiability.structural import analyse_structural_identifiability
@@ -316,6 +320,23 @@ def test_a_wide_interval_is_not_determined() -> None:
     assert 1.96 * found.constants["La"].std > 0.5 * found.constants["La"].value
     (fewer,) = [f for f in found.findings if f.code == Code.RECORDS_SHOW_FEWER]
     assert fewer.values["structure"] == 6
+
+
+def test_a_sensor_that_is_named_shows_more_of_the_same_run() -> None:
+    blind = replace(micro_actuator.fix("M"), outputs=micro_actuator.outputs[:1])
+    time, level = 2.5e-4 * np.arange(400), {"x": 2e-6, "i": 5e-2}
+    slow = {"time": time, "u": np.sin(20 * time)}
+
+    def shown(model: Model) -> PracticalIdentifiability:
+        noise = {o.name: level[o.name] for o in model.outputs}
+        record = simulate(model, slow).record(noise, np.random.default_rng(0))
+        return analyse_practical_identifiability(model, record, noise=noise)
+
+    found = shown(blind)
+    (fewer,) = [f for f in found.findings if f.code == Code.RECORDS_SHOW_FEWER]
+    assert "i" in fewer.values["sensors"]
+    both = shown(micro_actuator.fix("M"))
+    assert both.rank + both.averaged > found.rank + found.averaged
 
 
 def driven(u: np.ndarray, step: float = 0.01) -> Experiment:
