@@ -33,6 +33,7 @@ from greybox.estimation.transcription.decision_vector import SHARED, DecisionVec
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.model import Model
 from greybox.model.expressions.text import expression_text
+from greybox.simulation.plant import PlantModel
 from greybox.simulation.plant_kernel import PlantKernel
 
 
@@ -84,6 +85,7 @@ class EstimationCode(StrEnum):
     ROBUST_LOSS_OUTLIERS = "robust_loss_outliers"
     TOO_MANY_OUTLIERS = "too_many_outliers"
     CONSTANT_OUTPUT_EXCLUDED = "constant_output_excluded"
+    START_IN_FIRST_ROW = "start_in_first_row"
     # Process noise.
     PROCESS_NOISE_ZERO = "process_noise_zero"
     PROCESS_NOISE_NOT_SIGNIFICANT = "process_noise_not_significant"
@@ -490,7 +492,29 @@ def find_option_issues(
         many = [name for name, share in robust.outliers.items() if share > OUTLIER_SHARE]
         if many:
             result.append(Finding(EstimationCode.TOO_MANY_OUTLIERS, Severity.WARNING, "", {"outputs": many}))
-    return (*result, *find_excluded_outputs(problem))
+    return (*result, *find_excluded_outputs(problem), *_find_late_first_rows(problem))
+
+
+# Usual intervals after time zero within which a first row is the first reading of a table that begins at zero; a part of a record, or one
+# whose clock ran on, begins later.
+LATE_FIRST_ROW = 3.0
+
+
+def _find_late_first_rows(problem: EstimationProblem) -> list[Finding]:
+    """Records that begin shortly after time zero, where the model says how they begin: it is taken to speak of their first row."""
+    initial = problem.variables.initial
+    stated = [
+        s.name
+        for s, free, x in zip(problem.model.all_states, initial.free, initial.guess.T, strict=True)
+        if not free and x.any()
+    ]
+    late = [
+        e for e in problem.experiments if e.rows > 1 and 0 < e.time[0] <= LATE_FIRST_ROW * float(np.median(e.intervals))
+    ]
+    if not (stated and late) or initial.settled is not None or isinstance(problem.model, PlantModel):
+        return []
+    values = {"states": stated, "time": float(late[0].time[0])}
+    return [Finding(EstimationCode.START_IN_FIRST_ROW, Severity.WARNING, late[0].name, values)]
 
 
 # Factors by which a number is off in the wrong unit; those of a hundred and a thousand stand for prefixes.

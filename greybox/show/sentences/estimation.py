@@ -496,6 +496,10 @@ register(
         EstimationCode.INPUT_COURSE_CONTRADICTED: _write_course_contradicted,
         EstimationCode.INPUT_COURSE_OPEN: _write_course_open,
         EstimationCode.INPUT_NOISE_COUNTED: _write_noise_counted,
+        EstimationCode.START_IN_FIRST_ROW: lambda f: (
+            f"record {f.subject} begins at {f.values['time']:g} s, and the start of {', '.join(f.values['states'])} is taken to hold there;"
+            " where it holds at 0 s, begin the record with a row at 0 s without a reading"
+        ),
         EstimationCode.INPUT_NOISE_BIASES: _write_noise_biases,
         EstimationCode.STEP_MOVES_PARAMETERS: _write_step_shifts,
         EstimationCode.VALIDATION_ERROR_LARGER: (

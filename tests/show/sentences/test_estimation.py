@@ -350,6 +350,13 @@ GOLDEN = [
         " with hold={'u': 'zero'} (shell: --interpolate u=zero)",
     ),
     (
+        "start_in_first_row",
+        "run",
+        {"states": ["v", "T"], "time": 0.5},
+        "record run begins at 0.5 s, and the start of v, T is taken to hold there; where it holds at 0 s, begin the record with a row at"
+        " 0 s without a reading",
+    ),
+    (
         "input_noise_counted",
         "",
         {"levels": {"u": [0.0123, "V"]}, "counted": ["K", "tau"]},
