@@ -26,6 +26,7 @@ QUICK = (
     "design.md",
     "changed.md",
     "fleet.md",
+    "robots.md",
     "laws.md",
     "extensions.md",
     "records.md",

@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 from greybox.shell import inputs
-from greybox.shell.study import LAYOUT, SHOWING, Answer, Command, Study
+from greybox.shell.study import LAYOUT, SHOWING, Answer, Command, Option, Study
+from greybox.shell.study_values import Quantity, Switch
 from greybox.shell.terminal import write_report
 
 
-def robot(study: Study) -> Answer:
+class RobotStudy(Study):
+    """The options of `greybox robot`."""
+
+    known_to = Option(
+        Quantity(),
+        "--known-to SHARE",
+        "known_to",
+        "How well ROBOT is known: 0.1 takes its constants to be right to 10 %. [default: not at all]",
+    )
+    physical = Option(Switch(), "--physical", "physical", "Also look for constants of each link that a body can have.")
+
+
+def robot(study: RobotStudy) -> Answer:
     """Tell what the joints of ROBOT have beside rigid bodies, and which of its constants DATA carries.
 
     The base parameters are fitted to the torques by weighed least squares with intervals that hold for coloured noise; each joint is
@@ -17,14 +33,19 @@ def robot(study: Study) -> Answer:
 
     Exit code 0: there is an answer. 2: bad input, nothing was written.
     """
+    from greybox.data.findings import RecordCode
     from greybox.extensions.robot.identify import identify_robot
     from greybox.extensions.robot.plant import robot as read_plant
 
     plant = read_plant(study.source)
     folder = inputs.result_folder(study, plant.name)
     logs = inputs.read_files(study, study.estimation, plant.log_model, allow_constant_input=True, hold="first")
-    inputs.print_record_notes(logs)
-    identified = identify_robot(plant.robot, logs)
+    # Few robots measure velocities; that an axis has no torque is said of the axis.
+    inputs.print_record_notes(
+        replace(log, findings=tuple(f for f in log.findings if f.code != RecordCode.OUTPUT_NOT_MEASURED))
+        for log in logs
+    )
+    identified = identify_robot(plant.robot, logs, prior=study.known_to or math.inf, physical=study.physical)
     saved = identified.save(folder / "robot.json")
     return Answer(
         identified,
@@ -45,6 +66,7 @@ ROBOT = Command(
         Study.estimation.but(
             usage="DATA", help="Joint logs: CSV, MAT, MCAP and others, headers 'name [unit]'.", required=True
         ),
+        *(RobotStudy.known_to, RobotStudy.physical),
         *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit),
         *(Study.first_time, Study.last_time, Study.split_holes),
         Study.output.but(help="Folder for the results. [default: results/ROBOT-robot]"),
@@ -55,6 +77,7 @@ ROBOT = Command(
         "greybox robot arm.urdf monday.csv tuesday.csv --column 'q1 [deg]=joint_1_position' --output results/arm",
     ),
     (LAYOUT,),
+    study=RobotStudy,
 )
 
 PRINTS = {"robot": ("greybox.extensions.robot.result:RobotIdentification",)}

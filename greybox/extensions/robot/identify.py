@@ -6,6 +6,7 @@ carries, which effects it shows and whether another one would do as well, whethe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,6 +27,7 @@ from greybox.extensions.robot.joint_effects import (
     effect_columns,
 )
 from greybox.extensions.robot.motion import Motion, reconstruct_motion
+from greybox.extensions.robot.physical import find_physical_constants
 from greybox.extensions.robot.regression import BlockProducts, BlockSolution, promise
 from greybox.extensions.robot.result import (
     BaseEstimate,
@@ -92,11 +94,19 @@ class _Log:
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """Sums of each joint alone, unweighted (n, K, B + C + 1, ...), with their rows (n, K); C columns of effects."""
+    """Sums of each joint alone, unweighted (n, K, B + C + 1, ...), with their rows (n, K); C columns of effects.
+
+    ``prior`` (B + 1, B + 1): what is known of the base parameters before.
+    """
 
     joints: np.ndarray
     rows: np.ndarray
-    base: int
+    prior: np.ndarray
+
+    @property
+    def base(self) -> int:
+        """Number of base parameters B."""
+        return len(self.prior) - 1
 
     def weigh(self, variances: np.ndarray) -> BlockProducts:
         """All joints together: base parameters first, then the effects of each joint."""
@@ -107,6 +117,8 @@ class _Table:
         for i, each in enumerate(self.joints):
             place = [*range(self.base), *(self.base + i * C + np.arange(C)), P]
             products[np.ix_(range(K), place, place)] += each / variances[i]
+        known = np.ix_(range(K), [*range(self.base), P], [*range(self.base), P])
+        products[known] += self.prior / K
         return BlockProducts(products, self.rows.sum(axis=0))
 
     def measure(self, x: np.ndarray) -> np.ndarray:
@@ -120,7 +132,9 @@ class _Table:
         return np.where(count > 0, np.maximum(squares, 0) / np.maximum(count, 1), np.nan)
 
 
-def identify_robot(robot: Robot, records: Experiment | Sequence[Experiment]) -> RobotIdentification:
+def identify_robot(
+    robot: Robot, records: Experiment | Sequence[Experiment], *, prior: float = math.inf, physical: bool = False
+) -> RobotIdentification:
     """Fit the base parameters of a robot to joint logs, and look for what its joints have beside rigid bodies.
 
     Parameters
@@ -130,6 +144,11 @@ def identify_robot(robot: Robot, records: Experiment | Sequence[Experiment]) -> 
     records
         Logs with columns ``q1`` ... in rad or m and ``tau1`` ... in N m or N, as they count the axes; ``dq1`` ... in rad/s or m/s are used
         where they are less noisy than the differentiated positions.
+    prior
+        How well the description is known: the standard deviation of each of its constants, as a share of what is usual for a link of
+        its mass and size. Infinite: not at all.
+    physical
+        Whether constants of each link that a body can have are looked for; a finding says what they cost.
 
     Returns
     -------
@@ -149,14 +168,44 @@ def identify_robot(robot: Robot, records: Experiment | Sequence[Experiment]) -> 
         raise DataError(
             f"robot {robot.name!r}: no axis moves for {LEAST_MOVING_ROWS} rows while its torque is measured; nothing can be fitted"
         )
-    table = _fill_table(log, len(base.names))
+    table = _fill_table(log, _weigh_description(base, prior))
     for joint, rows in zip(base.robot.axes, table.rows.sum(axis=1), strict=True):
         if not rows:
             findings.append(Finding(RobotCode.AXIS_WITHOUT_ROWS, Severity.WARNING, joint.name))
     chosen, sums = _select(table)
     torques = _follow_torques(log, len(base.names), chosen, sums)
     sums = _join_blocks(sums, log, torques, findings)
-    return _conclude(base, logs, log, table, sums, chosen, _find_bias(base, logs, axes, log, chosen), torques, findings)
+    bias = _find_bias(base, logs, axes, log, chosen, table.prior)
+    if physical:
+        findings.append(_find_physical(base, sums, chosen, bias))
+    return _conclude(base, logs, log, table, sums, chosen, bias, torques, findings)
+
+
+def _weigh_description(base: BaseParameters, prior: float) -> np.ndarray:
+    """What a prior adds to the sums of products of the base parameters and the torque (B + 1, B + 1)."""
+    B, sizes = len(base.names), []
+    if not np.isfinite(prior):
+        return np.zeros((B + 1, B + 1))
+    for inertial in base.robot.inertial.reshape(-1, 10):
+        # A link of mass m with radius of gyration r: kg, kg m, kg m^2.
+        mass, radius = inertial[0], math.sqrt(max(inertial[[4, 6, 9]].sum(), 0.0) / max(inertial[0], 1e-9))
+        sizes += [mass, *[mass * radius] * 3, *[mass * radius**2] * 6]
+    covariance = base.mixing * (prior * np.array(sizes)) ** 2 @ base.mixing.T
+    precision = np.linalg.pinv(covariance, hermitian=True)
+    columns = np.column_stack([np.eye(B), base.values])
+    return np.asarray(columns.T @ precision @ columns)
+
+
+def _find_physical(base: BaseParameters, sums: BlockProducts, chosen: Sequence[int], bias: np.ndarray) -> Finding:
+    """The constants that bodies can have, and what they cost."""
+    B, fit = len(base.names), sums.take(chosen).fit()
+    information = np.linalg.pinv(fit.inverse[:B, :B], hermitian=True)
+    # Weighed by what is left of each joint, every row has a square of one.
+    theta, growth = find_physical_constants(
+        base, (fit.x - bias)[:B], information + 1e-12 * np.trace(information) * np.eye(B)
+    )
+    links = {j.link: c.tolist() for j, c in zip(base.robot.joints, theta.reshape(-1, 10), strict=True)}
+    return Finding(RobotCode.PHYSICAL, values={"increase": math.sqrt(1 + growth / fit.residual) - 1, "links": links})
 
 
 def _match_axes(robot: Robot, logs: Sequence[Experiment]) -> tuple[Robot, list[int], list[Finding]]:
@@ -191,7 +240,7 @@ def _read_logs(
     return _Log(motions, regressors, counts, np.array(starts))
 
 
-def _fill_table(log: _Log, base: int) -> _Table:
+def _fill_table(log: _Log, prior: np.ndarray) -> _Table:
     """The sums over blocks with all columns; those that rest on the load of a joint know it from a first fit."""
     dq, ddq, tau = log.stack("dq"), log.stack("ddq"), np.nan_to_num(log.stack("tau"))
     n, rigid, rate = dq.shape[1], np.zeros_like(tau), np.zeros_like(tau)
@@ -204,10 +253,10 @@ def _fill_table(log: _Log, base: int) -> _Table:
             ends = [*log.starts[1:], len(Z)]
             tables.append([Z[a:b].T @ Z[a:b] for a, b in zip(log.starts, ends, strict=True)])
             rows.append(np.add.reduceat(log.counts[:, i].astype(float), log.starts))
-        table = _Table(np.array(tables), np.array(rows), base)
+        table = _Table(np.array(tables), np.array(rows), prior)
         if columns.stop:
             fit = _weigh_by_residual(table).fit()
-            rigid = log.regressors @ fit.x[:base]
+            rigid = log.regressors @ fit.x[: table.base]
             rate = log.differentiate(rigid)
     return table
 
@@ -317,7 +366,12 @@ def _join_blocks(sums: BlockProducts, log: _Log, torques: np.ndarray, findings: 
 
 
 def _find_bias(
-    base: BaseParameters, logs: Sequence[Experiment], axes: Sequence[int], log: _Log, chosen: Sequence[int]
+    base: BaseParameters,
+    logs: Sequence[Experiment],
+    axes: Sequence[int],
+    log: _Log,
+    chosen: Sequence[int],
+    prior: np.ndarray,
 ) -> np.ndarray:
     """By how much the noise of the position sensors has shifted the estimates (chosen,).
 
@@ -327,7 +381,7 @@ def _find_bias(
     every = max(1, len(log.counts) // SHAKEN_ROWS)
     estimates = []
     for shake in (0.0, 1.0, -1.0):
-        table = _fill_table(_read_logs(base, logs, axes, shake, every), len(base.names))
+        table = _fill_table(_read_logs(base, logs, axes, shake, every), prior / every)
         estimates.append(_weigh_by_residual(table, chosen).take(chosen).fit().x)
     return np.asarray((estimates[1] + estimates[2]) / 2 - estimates[0])
 
@@ -345,7 +399,9 @@ def _conclude(
 ) -> RobotIdentification:
     """The fit in words: estimates with their intervals, effects with their grades, the comparison with the description."""
     robot, B, fit = base.robot, len(base.names), sums.take(chosen).fit()
-    values, std = fit.x - bias, np.hypot(fit.std, bias)
+    # What was known before is no block that could be left out: its share of the errors is added.
+    known = np.einsum("pb,bc,pc->p", fit.inverse[:, :B], table.prior[:-1, :-1], fit.inverse[:, :B])
+    values, std = fit.x - bias, np.sqrt(fit.covariance.diagonal() + known + bias**2)
     reach = fit.quantile * std
     sizes = _typical_sizes(base)
     estimates = tuple(

@@ -40,7 +40,12 @@ register(
             ": the torques read so much too large, by the torque constants, or every mass is"
         ),
         RobotCode.PHYSICAL: lambda f: (
-            f"constants that a body can have follow the torques with {percent_text(f.values['increase'], 2)} more error"
+            "links whose mass is nowhere negative follow the torques"
+            + (
+                f" with {percent_text(f.values['increase'], 2)} more error"
+                if f.values["increase"] > 1e-4
+                else " as well"
+            )
         ),
     }
 )

@@ -12,6 +12,8 @@ from greybox.base import DataError
 from greybox.base.json_shape import to_json_data
 from greybox.discovery.decision import Grade
 from greybox.extensions.robot import RobotIdentification, find_base_parameters, identify_robot, read_robot
+from greybox.extensions.robot.description import to_pseudo_inertia
+from greybox.extensions.robot.physical import find_physical_constants
 from greybox.extensions.robot.regression import BlockProducts, promise
 from greybox.extensions.robot.result import RigidVerdict
 from tests.support.result_schema import strict_offences
@@ -123,6 +125,35 @@ def test_the_plant_is_fitted_as_any_other(arm: gb.robots.Robot, tmp_path: Path) 
         assert fit.parameters[name].value == pytest.approx(true, abs=0.05)
     assert fit.parameters["coulomb_friction2"].value == pytest.approx(0.5, abs=0.05)
     assert len(plant.parameters) == len(find_base_parameters(arm).names) + 6
+
+
+def test_links_that_a_body_can_have_are_found_and_their_cost_is_said(arm: gb.robots.Robot) -> None:
+    (said,) = [
+        f for f in identify_robot(arm, joint_log(**HIDDEN), physical=True).findings if f.code == "robot_physical"
+    ]
+    for constants in said.values["links"].values():
+        assert np.linalg.eigvalsh(to_pseudo_inertia(np.array(constants))).min() >= 0
+    # The truth is such a pair of links: it costs hardly anything.
+    assert 0 <= said.values["increase"] < 0.01
+
+
+def test_constants_that_no_body_has_are_refused_at_a_cost(arm: gb.robots.Robot) -> None:
+    base = find_base_parameters(arm)
+    beta = base.values.copy()
+    # An inertia of the second link that is smaller than its first moment allows: m2 c2 = 0.3 at m2 >= 0 has no such body.
+    beta[base.names.index("Iyy2")] = -0.05
+    theta, growth = find_physical_constants(base, beta, np.eye(len(beta)) / 0.01**2)
+    assert growth > 25.0
+    assert all(np.linalg.eigvalsh(to_pseudo_inertia(link)).min() >= -1e-12 for link in theta.reshape(-1, 10))
+
+
+def test_a_prior_holds_what_the_record_leaves_open(arm: gb.robots.Robot) -> None:
+    log = joint_log(rows=1500)
+    free, held = (identify_robot(arm, log, prior=prior) for prior in (np.inf, 0.001))
+    assert all(h.std <= 1.05 * f.std for f, h in zip(free.base, held.base, strict=True))
+    assert min(h.std / f.std for f, h in zip(free.base, held.base, strict=True)) < 0.5
+    truth = base_of_textbook(0.0)
+    assert all(abs(b.value - truth[b.name]) < 4 * b.std for b in held.base)
 
 
 def test_what_a_column_would_do_is_what_it_does() -> None:
