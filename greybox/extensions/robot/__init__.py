@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from greybox.extensions.robot.description import Joint, JointKind, Robot
     from greybox.extensions.robot.description_files import read_robot
     from greybox.extensions.robot.identify import identify_robot
+    from greybox.extensions.robot.model import robot_model
     from greybox.extensions.robot.plant import RobotPlant, robot
     from greybox.extensions.robot.result import RobotIdentification
     from greybox.extensions.robot.rigid_body import RigidBody
