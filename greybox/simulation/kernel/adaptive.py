@@ -88,10 +88,7 @@ class AdaptiveKernel(KernelInParts):
         self.work = np.zeros(4, np.int64)
         """Steps, steps refused, Jacobians and factorisations so far."""
         self.reason, self.is_compiled = "stiff, and smooth", True
-        try:
-            self._get_library(0, 0)
-        except (CompilerError, UnsupportedOperationError) as error:
-            self.reason, self.is_compiled = f"no compiled code: {error}", False
+        self._compile(0)
 
     name = "adaptive"
 
@@ -115,7 +112,7 @@ class AdaptiveKernel(KernelInParts):
             end = min(start + count + 1, n)
             h = record.h if is_repeated(record.h) else record.h[start : end - 1]
             xs, dxs = np.full((end - start, nx), np.nan), np.zeros((end - start, nx, directions))
-            run = self._run if self.is_compiled else self._run_by_numpy
+            run = self._run if self.is_compiled and self._compile(arguments.directions) else self._run_by_numpy
             run(record.u[start:end], h, record.is_linear, arguments, x, dx, carry, xs, dxs)
             y = self._map(0, xs[:count], record.u[start : start + count], arguments.p)
             yield RecordPart(start, xs[:count], y, dxs[:count])
@@ -153,8 +150,7 @@ class AdaptiveKernel(KernelInParts):
     ) -> None:
         """The states (n, nx) at all rows and their tangents (n, nx, L), written to ``xs`` and ``dxs``; ``carry`` is updated."""
         directions = arguments.directions
-        width = choose_vector_width(directions) if directions else 0
-        blocks = -(-directions // width) if directions else 0
+        width, blocks = _layout(directions)
         lanes = np.zeros((*xs.shape, blocks * width))
         dp, dx0 = (_pad(a, blocks * width) for a in (arguments.dp, dx))
         arrays = [np.ascontiguousarray(a, np.float64) for a in (is_linear, u, h, arguments.p, x, dp, dx0)]
@@ -190,6 +186,14 @@ class AdaptiveKernel(KernelInParts):
                 if reached is None:
                     break
                 x, dx = reached
+
+    def _compile(self, directions: int) -> bool:
+        """Whether there is compiled code for so many directions; from where there is none on, NumPy runs."""
+        try:
+            self._get_library(*_layout(directions))
+        except (CompilerError, UnsupportedOperationError) as error:
+            self.reason, self.is_compiled = f"no compiled code: {error}", False
+        return self.is_compiled
 
     def _get_library(self, width: int, blocks: int) -> Any:
         """The function of the C text with room for ``blocks`` of ``width`` directions, compiled when first asked for."""
@@ -249,6 +253,12 @@ class AdaptiveKernel(KernelInParts):
 
     def _plain_functions(self) -> dict[str, ca.Function]:
         return {"rates": self._rates, "jacobian": self._jacobian}
+
+
+def _layout(directions: int) -> tuple[int, int]:
+    """Width of a block of directions, and how many blocks."""
+    width = choose_vector_width(directions) if directions else 0
+    return width, -(-directions // width) if directions else 0
 
 
 def _pad(array: np.ndarray, lanes: int) -> np.ndarray:

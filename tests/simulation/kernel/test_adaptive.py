@@ -13,6 +13,7 @@ from greybox.base import ModelError
 from greybox.simulation.integrators.discretisation import choose_implicit_method, discretise
 from greybox.simulation.integrators.esdirk import LESS, NODES, TABLE, esdirk
 from greybox.simulation.kernel.adaptive import AdaptiveKernel
+from greybox.simulation.kernel.c_compiler import CompilerBudgetError
 from greybox.simulation.kernel.interface import KernelPoint
 from greybox.simulation.kernel.record import Record
 from models.micro_actuator import micro_actuator
@@ -119,6 +120,28 @@ def reference(model, record):
     return np.array(x)
 
 
+def test_where_the_larger_text_does_not_compile_numpy_goes_on(monkeypatch):
+    kernel, record, p, x0 = run(CASES[0])
+    expected = kernel.residuals(record.first(4), point_of(p, x0), np.ones(len(case(CASES[0])[0].outputs)))
+
+    def give_up(*_, **__):
+        raise CompilerBudgetError("C compiler took more than 60 s")
+
+    other, record, p, x0 = run(CASES[0])
+    monkeypatch.setattr("greybox.simulation.kernel.adaptive.load_library", give_up)
+    for found, known in zip(
+        other.residuals(record.first(4), point_of(p, x0), np.ones(len(case(CASES[0])[0].outputs))),
+        expected,
+        strict=True,
+    ):
+        assert found == pytest.approx(known, rel=1e-6, abs=1e-8 * np.abs(known).max())
+    assert not other.is_compiled and "more than 60 s" in other.reason
+
+
+def point_of(p, x0):
+    return KernelPoint(p[None], np.diag(p)[None], p, np.diag(p), x0, np.zeros((len(x0), len(p))))
+
+
 def run(name, refinement=1, compiled=True):
     model, record = case(name)
     kernel = AdaptiveKernel(esdirk(model.system, refinement))
@@ -204,8 +227,7 @@ def test_without_a_compiler_the_numbers_are_the_same(name):
     for compiled in (True, False):
         kernel, record, p, x0 = run(name, compiled=compiled)
         part = record.first(8)
-        dp = np.diag(p)
-        point = KernelPoint(p[None], dp[None], p, dp, x0, np.zeros((len(x0), len(p))))
+        point = point_of(p, x0)
         results.append(kernel.residuals(part, point, np.ones(len(model.outputs))))
         assert kernel.sums(part, point, np.ones(len(model.outputs))).cost == pytest.approx(
             np.nansum(results[-1][0] ** 2)
