@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from greybox.shell.commands import app
-from tests.support.robots import DOUBLE_PENDULUM, joint_log, write, write_log
+from greybox.shell.project import find_model
+from tests.support.robots import DOUBLE_PENDULUM, double_pendulum_torques, joint_log, write, write_log
 
 
 @pytest.fixture
@@ -39,6 +41,15 @@ def test_it_answers_on_one_screen_and_writes_a_page(folder: Path) -> None:
     assert "Iyy1 + 0.25" in page
     data = json.loads((folder / "out" / "robot.json").read_text(encoding="utf-8"))
     assert data["payload"]["link"] == "lower" and [e["joint"] for e in data["effects"]] == ["shoulder", "elbow"]
+    # Torques by the model that was written are those of the log's own equations: here of two joints that move alone.
+    torques, motion = (find_model(str(folder / "out" / f"{name}.py")) for name in ("torques", "motion"))
+    friction = {e["joint"]: e["value"] for e in data["effects"]}
+    assert torques.values["B1"] == pytest.approx(friction["shoulder"]) == motion.values["B1"]
+    assert torques.values["Fc"] == pytest.approx(friction["elbow"]) == motion.values["Fc"]
+    at_rest = torques.system.output_function([], [0.4, 0.2, 0, 0, 0, 0], list(torques.values.values())).full().ravel()
+    described = double_pendulum_torques(np.array([[0.4, 0.2]]), np.zeros((1, 2)), np.zeros((1, 2)))[0]
+    heavier = 0.4 * 9.81 * data["payload"]["centre"][2]
+    assert at_rest[1] == pytest.approx(described[1] - heavier * np.sin(0.6), rel=0.02)
 
 
 @pytest.mark.parametrize(

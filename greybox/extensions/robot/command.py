@@ -29,12 +29,15 @@ def robot(study: RobotStudy) -> Answer:
     The base parameters are fitted to the torques by weighed least squares with intervals that hold for coloured noise; each joint is
     searched for viscous, dry, Stribeck and load-dependent friction, an offset, the motor's inertia, a wrong gain and a delay, and the last
     link for a payload. Columns are q1, tau1, q2, tau2 ... in the order of the axes, and dq1 ... where velocities were measured.
-    Writes DIR/robot.json and DIR/index.html, a page for the browser.
+    Writes DIR/robot.json, DIR/index.html, a page for the browser, and two models that other commands take: DIR/motion.py runs, is
+    linearised and exported; the export of DIR/torques.py is a controller's feed-forward.
 
     Exit code 0: there is an answer. 2: bad input, nothing was written.
     """
     from greybox.data.findings import RecordCode
+    from greybox.extensions.export.python_model import to_python
     from greybox.extensions.robot.identify import identify_robot
+    from greybox.extensions.robot.model import robot_model
     from greybox.extensions.robot.plant import robot as read_plant
 
     plant = read_plant(study.source)
@@ -47,10 +50,14 @@ def robot(study: RobotStudy) -> Answer:
     )
     identified = identify_robot(plant.robot, logs, prior=study.known_to or math.inf, physical=study.physical)
     saved = identified.save(folder / "robot.json")
+    models = [
+        to_python(robot_model(plant.robot, identified, inverse=inverse), folder / f"{name}.py")
+        for name, inverse in (("motion", False), ("torques", True))
+    ]
     return Answer(
         identified,
         lambda _: saved.read_text(encoding="utf-8"),
-        [saved],
+        [saved, *models],
         lambda: write_report(identified, folder / "index.html"),
         kept=f"the answer is in {saved}",
         # What holds in another motion as well is the robot's own; the notes say which motion settles what is open.

@@ -7,18 +7,34 @@ exported function is a controller's feed-forward. Both have the same constants a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import casadi as ca
 
+from greybox.base import to_identifiers
 from greybox.extensions.robot.base_parameters import BaseParameters, find_base_parameters
 from greybox.extensions.robot.description import Joint, JointKind, Robot
+from greybox.extensions.robot.joint_effects import COULOMB, INERTIA, OFFSET, VISCOUS
+from greybox.extensions.robot.result import RobotCode, RobotIdentification
 from greybox.extensions.robot.rigid_body import RigidBody
 from greybox.model import Balance, Block, Input, Model, Output, Parameter, State
+from greybox.model.effects.catalogue import effect as catalogue_effect
+from greybox.model.effects.placement import place_effect
 from greybox.model.signals import NamedValues
 
+# Kinds of `greybox.extensions.robot.joint_effects` that are constants of the model; and those that are effects of the catalogue, with their
+# constant and its sign: an offset of the torque is a load with the other sign.
+CONSTANTS = {VISCOUS.name: "B", INERTIA.name: "Jm"}
+EFFECTS = {COULOMB.name: ("coulomb_friction", "Fc", 1), OFFSET.name: ("constant_load", "F0", -1)}
+# Speed in rad/s or m/s below which dry friction creeps: slower than arms work, and fast enough for steps of a millisecond.
+CREEP = 0.01
 
-def robot_model(robot: Robot, *, inverse: bool = False) -> Model:
+
+def robot_model(
+    robot: Robot, identified: RobotIdentification | None = None, *, inverse: bool = False, creep: float = CREEP
+) -> Model:
     """The model of a robot: positions by torques, or torques by the motion.
 
     Constants are its base parameters, which begin as described, and each joint's viscous friction ``B1`` and motor inertia ``Jm1``, which
@@ -29,8 +45,13 @@ def robot_model(robot: Robot, *, inverse: bool = False) -> Model:
     ----------
     robot
         The robot as described.
+    identified
+        What `identify_robot` says of it: base parameters, viscous and dry friction, offsets and motor inertias are taken over, and axes
+        that it held are held. The rest of what it names is left out, and the description of the model says so.
     inverse
         Whether it is solved for the torques: inputs are then ``q1``, ``dq1``, ``ddq1`` ..., outputs ``tau1`` ...
+    creep
+        Speed in rad/s or m/s below which dry friction is viscous where the arm moves freely.
 
     Returns
     -------
@@ -41,12 +62,15 @@ def robot_model(robot: Robot, *, inverse: bool = False) -> Model:
     --------
     ``robot_model(arm) + gb.effect("coulomb_friction_at_joint_1").smoothed(0.01)``
     """
+    if identified is not None:
+        held = [f.subject for f in identified.findings if f.code == RobotCode.AXIS_HELD]
+        robot = robot.lock(dict.fromkeys(held, 0.0)) if held else robot
     base, links = find_base_parameters(robot), len(robot.joints)
     plant = _JointRelations(base, RigidBody(robot).inverse_dynamics, inverse)
     motion = [(f"{s}{k}", unit) for s in ("q", "dq", "ddq") for k, unit in _numbered(robot, s)]
     torques = [(f"tau{k}", unit) for k, unit in _numbered(robot, "tau")]
-    return Model(
-        robot.name.replace(" ", "_"),
+    model = Model(
+        to_identifiers([robot.name])[0],
         states=[State(*signal) for signal in (torques if inverse else motion)],
         inputs=[Input(*signal) for signal in (motion if inverse else torques)],
         outputs=[Output(*signal) for signal in (torques if inverse else motion[: len(torques)])],
@@ -56,6 +80,27 @@ def robot_model(robot: Robot, *, inverse: bool = False) -> Model:
         description=f"{'torques' if inverse else 'motion'} of {links} link{'s' * (links > 1)}",
         source=robot.source,
     )
+    return model if identified is None else _take_over(model, robot, identified, inverse, creep)
+
+
+def _take_over(model: Model, robot: Robot, identified: RobotIdentification, inverse: bool, creep: float) -> Model:
+    """The model with the constants and the effects that were identified."""
+    numbers = {joint.name: k for k, joint in enumerate(robot.axes, 1)}
+    model = model.start(**{b.name: b.value for b in identified.base})
+    left_out = []
+    for found in identified.effects:
+        k = numbers[found.joint]
+        if found.kind in CONSTANTS:
+            model = model.fix(**{f"{CONSTANTS[found.kind]}{k}": max(found.value, 0.0)})
+        elif found.kind in EFFECTS:
+            name, constant, sign = EFFECTS[found.kind]
+            effect = place_effect(catalogue_effect(name), f"joint_{k}")
+            model = model + (effect if inverse else effect.smoothed(creep))
+            model = model.start(**{model.names_of(effect.name)[constant]: sign * found.value})
+        else:
+            left_out.append(f"{found.kind} at {found.joint}")
+    lacks = f"; without {', '.join(left_out)}" if left_out else ""
+    return replace(model, description=model.description + lacks)
 
 
 class _JointRelations:
@@ -115,7 +160,10 @@ def _joint_constants(robot: Robot) -> Iterator[Parameter]:
     """Viscous friction and motor inertia of each joint, as described and fixed."""
     for k, joint in enumerate(robot.axes, 1):
         turns = joint.kind is JointKind.REVOLUTE
-        damping, inertia = ("N*m*s/rad", "kg*m^2") if turns else ("N*s/m", "kg")
-        known = {"bounds": (0.0, float("inf")), "fixed": True, "source": "description"}
-        yield Parameter(f"B{k}", damping, joint.damping, description=f"viscous friction of {joint.name}", **known)
-        yield Parameter(f"Jm{k}", inertia, joint.armature, description=f"inertia of the motor of {joint.name}", **known)
+        for name, words, unit, value in (
+            ("B", "viscous friction", "N*m*s/rad" if turns else "N*s/m", joint.damping),
+            ("Jm", "inertia of the motor", "kg*m^2" if turns else "kg", joint.armature),
+        ):
+            yield Parameter(
+                f"{name}{k}", unit, value, (0.0, math.inf), True, "description", "", f"{words} of {joint.name}"
+            )
