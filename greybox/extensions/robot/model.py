@@ -88,17 +88,17 @@ def _take_over(model: Model, robot: Robot, identified: RobotIdentification, inve
     numbers = {joint.name: k for k, joint in enumerate(robot.axes, 1)}
     model = model.start(**{b.name: b.value for b in identified.base})
     left_out = []
-    for found in identified.effects:
-        k = numbers[found.joint]
-        if found.kind in CONSTANTS:
-            model = model.fix(**{f"{CONSTANTS[found.kind]}{k}": max(found.value, 0.0)})
-        elif found.kind in EFFECTS:
-            name, constant, sign = EFFECTS[found.kind]
+    for each in identified.effects:
+        k = numbers[each.joint]
+        if each.kind in CONSTANTS:
+            model = model.fix(**{f"{CONSTANTS[each.kind]}{k}": max(each.value, 0.0)})
+        elif each.kind in EFFECTS:
+            name, constant, sign = EFFECTS[each.kind]
             effect = place_effect(catalogue_effect(name), f"joint_{k}")
             model = model + (effect if inverse else effect.smoothed(creep))
-            model = model.start(**{model.names_of(effect.name)[constant]: sign * found.value})
+            model = model.start(**{model.names_of(effect.name)[constant]: sign * each.value})
         else:
-            left_out.append(f"{found.kind} at {found.joint}")
+            left_out.append(f"{each.kind} at {each.joint}")
     lacks = f"; without {', '.join(left_out)}" if left_out else ""
     return replace(model, description=model.description + lacks)
 
