@@ -48,7 +48,7 @@ from greybox.estimation.findings import (
     is_at_noise,
     is_output_at_noise,
 )
-from greybox.estimation.noise_loop import estimate_by_simulation_error, summarise_outliers
+from greybox.estimation.noise_loop import estimate_by_simulation_error, keep_best, summarise_outliers
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import Optimum, PredictionOptimum, SimulationOptimum
 from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
@@ -228,6 +228,10 @@ def fit(
                         begun, trouble, problem, experiments, options, colour, report, interrupt
                     )
             optimum = _refine_for_constants(optimum, options, report)
+            # With the steps it ends with, or from where another start led, the model's own may be better again.
+            if optimum is not begun and not optimum.solution.joined:
+                kept = keep_best(optimum.solution, problem.variables, options, report)
+                optimum = optimum if kept is optimum.solution else SimulationOptimum(model, kept)
     model.require_unchanged()
     exchange = None
     if isinstance(optimum, SimulationOptimum) and options.exchange:

@@ -25,7 +25,7 @@ from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.multiple_shooting import solve_multiple_shooting
 from greybox.estimation.transcription.plant_search import SHARES, shoot_part, solve_plant
 from greybox.estimation.transcription.problem import Completion, EstimationProblem, FitProgressCallback, Runs, Solution
-from greybox.estimation.transcription.select import select_transcription, try_free_run
+from greybox.estimation.transcription.select import select_transcription, shorten_steps, try_free_run
 from greybox.estimation.transcription.shooting_cost import PlantShooting
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
 from greybox.simulation.plant import PlantModel
@@ -43,6 +43,9 @@ def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCa
         choice = try_free_run(select_transcription(problem, options), options)
         if choice.transcription is Transcription.SINGLE:
             solution = solve_single_shooting(choice.problem, options, report)
+            if solution.status is TerminationStatus.NO_START:
+                runnable = shorten_steps(choice.problem, options)
+                solution = solve_single_shooting(runnable, options, report) if runnable else solution
             solution = replace(solution, strategy=choice.to_strategy(**solution.strategy.values))
         elif choice.transcription is Transcription.ARCS:
             return solve_multiple_shooting(choice, options, report)

@@ -74,11 +74,13 @@ def run_freely(
         y, x = _run(kernel, step, record, p, x0)
         if _has_settled(before, y, MAX_CHANGE):
             break
-    # Implicit steps of one length that jump out of the equations (a root of what is used up) say nothing of the model.
-    if method == "automatic" and step.implicit and not substeps and not np.isfinite(y).all():
-        stable = choose_implicit_method(model.system, record.lengths, alike=False)
-        if stable == ADAPTIVE and not step.adaptive:
-            return run_freely(model, record, p, x0, method=stable, policy=policy)
+    # Explicit steps that were not enough where a mode became fast on the way, and implicit ones of one length that jumped out of the
+    # equations (a root of what is used up), say nothing of the model; steps that follow the error do.
+    is_lost = not (substeps or step.per_interval or step.adaptive or np.isfinite(y).all())
+    stable = choose_implicit_method(model.system, record.lengths, alike=False) if is_lost else ""
+    if method == "automatic" and stable == ADAPTIVE:
+        followed = run_freely(model, record, p, x0, method=stable, policy=policy)
+        return followed if np.isfinite(followed[0]).all() else (y, x, step)
     return y, x, step
 
 

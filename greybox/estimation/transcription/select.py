@@ -87,6 +87,22 @@ def is_led_astray(problem: EstimationProblem) -> bool:
         return bool(np.any(~(change <= LEADING_SHARE * misfit) & measured.any(axis=0)))
 
 
+def shorten_steps(problem: EstimationProblem, options: FitOptions) -> EstimationProblem | None:
+    """``problem``, which cannot be run from where it begins, with steps that follow the error and are so short that it can; None where none
+    are.
+
+    Next to constants with which a model grows without end, an error of the steps decides whether it does.
+    """
+    if options.method != "automatic" or options.substeps:
+        return None
+    stable = problem.with_stable_steps()
+    for _ in range(options.policy.step_refinement.halvings if stable.step.adaptive else 0):
+        if np.isfinite(stable.shooting().evaluate(stable.variables.here).cost):
+            return stable
+        stable = stable.halve_step()
+    return None
+
+
 # Damped steps of a free run by which it is tried: enough to leave a start, and few beside those of a search.
 TRIAL_STEPS = 4
 

@@ -203,7 +203,7 @@ EXPORT long integrate(long n, int is_even, double tolerance, const double *is_li
                 state += pow(x[i] / scale[i], 2), rate += pow(k[0][i] / scale[i], 2);
         /* Where all is at zero the steps before tell nothing. */
         if (!(next > 0) || !(state > 0))
-            next = state > 0 && rate > 0 ? FIRST_SHARE * sqrt(state / rate) : FIRST_SHARE * length;
+            next = state > 0 && rate > 0 ? fmax(FIRST_SHARE * sqrt(state / rate), FIRST_STEP * length) : FIRST_SHARE * length;
         jacobian_is_fresh = 0, has_jacobian = 0;
         while (done < length) {
             const double left = length - done;

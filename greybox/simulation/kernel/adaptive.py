@@ -35,6 +35,8 @@ FIRST_SHARE = 1e-3
 MOST_STEPS = 20_000
 STEPS_AN_INTERVAL = 100
 SMALLEST_STEP = 1e-13
+# The first step at least, as a share of its interval: of a state that begins at zero, beside large ones, nearly any move is a large one.
+FIRST_STEP = 1e-11
 # A step is as long as would make the error of the next one (SAFETY)^4 of what is allowed, and stays as long as it is unless it may grow by
 # KEPT_GROWTH: with another length comes another matrix to factorise.
 SAFETY = 0.9
@@ -218,7 +220,7 @@ class AdaptiveKernel(KernelInParts):
             **{"NX": self.sizes.nx, "NU": self.sizes.nu, "NJ": len(row), "STAGES": esdirk.STAGES},
             **{"GAMMA": float(esdirk.GAMMA), "ORDER": esdirk.ERROR_ORDER, "FLOOR": FLOOR, "MATES": MATES},
             **{"FIRST_SHARE": FIRST_SHARE, "MOST_STEPS": MOST_STEPS, "STEPS_AN_INTERVAL": STEPS_AN_INTERVAL},
-            **{"SMALLEST_STEP": SMALLEST_STEP, "SAFETY": SAFETY},
+            **{"SMALLEST_STEP": SMALLEST_STEP, "FIRST_STEP": FIRST_STEP, "SAFETY": SAFETY},
             **{"KEPT_GROWTH": KEPT_GROWTH, "MOST_ITERATIONS": MOST_ITERATIONS, "NEWTON_SHARE": NEWTON_SHARE},
             **{"SLOW": SLOW, "DIVERGING": DIVERGING, "MOST_TANGENT_ITERATIONS": MOST_TANGENT_ITERATIONS},
             **{"TANGENT_CHANGE": TANGENT_CHANGE, "FEW_STATES": FEW_STATES},
@@ -315,7 +317,8 @@ class _NumpyRun:
         state, rate = (float(np.sum((v[known] / self.scale[known]) ** 2)) for v in (x, first))
         # Where all is at zero the steps before tell nothing.
         if not (self.carry[0] > 0 and state > 0):
-            self.carry[0] = FIRST_SHARE * (np.sqrt(state / rate) if state > 0 and rate > 0 else length)
+            share = max(FIRST_SHARE * np.sqrt(state / rate), FIRST_STEP * length) if state > 0 and rate > 0 else 0.0
+            self.carry[0] = share or FIRST_SHARE * length
         done, jacobian, matrix, is_fresh = 0.0, None, None, False
         while self.steps_left > 0:
             self.steps_left -= 1
