@@ -148,7 +148,7 @@ def test_a_free_run_that_follows_takes_the_place_of_segments_where_a_model_is_st
     assert found.solver.statistics["transcription"] == "single"
     # Seen from a few steps, or after segments that led nowhere.
     said = found.solver.strategy.values
-    assert TranscriptionReason.FREE_RUN_FOLLOWS == said["reason"] or said["completion"] == Completion.WENT_ON
+    assert said["reason"] == TranscriptionReason.FREE_RUN_FOLLOWS or said["completion"] == Completion.WENT_ON
     assert problem.squares({n: found.parameters[n].value for n in problem.names}) < problem.squares({})
 
 
