@@ -216,13 +216,13 @@ def analyse_problem(
     findings: list[Finding] = []
     if structure and total < structure.rank:
         sensors = _find_telling_sensors(problem, options, total)
-        found = {
+        shortfall = {
             "structure": structure.rank,
             "records": total,
             "driven": bool(problem.model.inputs),
             "sensors": sensors,
         }
-        findings.append(Finding(IdentifiabilityCode.RECORDS_SHOW_FEWER, Severity.WARNING, values=found))
+        findings.append(Finding(IdentifiabilityCode.RECORDS_SHOW_FEWER, Severity.WARNING, values=shortfall))
     if averaged:
         figures = {"averaged": averaged, "total": total}
         findings.append(Finding(IdentifiabilityCode.AVERAGING_ONLY, Severity.WARNING, values=figures))
@@ -252,8 +252,8 @@ def _find_telling_sensors(problem: EstimationProblem, options: FitOptions, least
         ]
         noise = {**measured, state: RANDOM_EXPERIMENT_NOISE_SHARE * movement}
         sensed = prepare_problem(add_sensors(problem.model, [state]), records, noise, options)
-        found = analyse_problem(sensed, None, options)
-        if found.rank + found.averaged > least:
+        precision = analyse_problem(sensed, None, options)
+        if precision.rank + precision.averaged > least:
             telling.append(state)
     return telling
 
