@@ -12,21 +12,24 @@ WORKERS ?= 2
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint docs bench clean
+.PHONY: help demo test test-rest lint docs bench clean
 .NOTPARALLEL: # two installs into one environment would trip over each other
 .DELETE_ON_ERROR:
 
 help: ## show this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' Makefile
 
 demo: $(VENV)/.installed ## install greybox and run its demonstration
 	$(BIN)/greybox demo $(ARGS)
 
 # One thread for BLAS: the matrices are 4x4, and a thread pool costs a hundred times the arithmetic.
-test: export OMP_NUM_THREADS = 1
-test: export OPENBLAS_NUM_THREADS = 1
-test: $(VENV)/.installed-test ## run the tests (the studies: make test ARGS="-m slow")
+test test-rest: export OMP_NUM_THREADS = 1
+test test-rest: export OPENBLAS_NUM_THREADS = 1
+test: $(VENV)/.installed-test ## run the everyday tests, in three minutes (the studies: make test ARGS="-m slow")
 	$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+
+test-rest: $(VENV)/.installed-test ## run the others: whole searches, browser, compilers, clusters, pages that are run
+	$(BIN)/python -m pytest -n $(WORKERS) -m "rest and not slow" $(ARGS)
 
 lint: $(VENV)/.installed-dev ## check style, format and types
 	$(BIN)/ruff check .

@@ -6,6 +6,7 @@ import gc
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
@@ -49,6 +50,22 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.collect()
         gc.freeze()
         gc.enable()
+
+
+# Processor time, in s, that an everyday test may take: of its own thread, so that a busy machine and a compiler at work do not count.
+EVERYDAY_SECONDS = 2.0
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+    """Fail an everyday test that is none: hundreds of them must run in three minutes."""
+    began = time.thread_time()
+    yield
+    took = time.thread_time() - began
+    if took > EVERYDAY_SECONDS and not any(item.iter_markers("rest")) and not any(item.iter_markers("slow")):
+        pytest.fail(
+            f"took {took:.1f} s, and an everyday test takes at most {EVERYDAY_SECONDS:g} s: make it faster, or mark it rest"
+        )
 
 
 def _folder(name: str, content: str) -> Path:

@@ -136,6 +136,7 @@ KILLED = """
 """
 
 
+@pytest.mark.rest
 @needs_posix
 def test_a_killed_process_leaves_a_whole_file(tmp_path):
     target, rng = tmp_path / "result", np.random.default_rng(5)

@@ -271,6 +271,7 @@ def run(tmp_path, monkeypatch, records, model, plant):
     return lambda *arguments: CliRunner().invoke(app, ["compare", str(plant), *map(str, arguments)])
 
 
+@pytest.mark.rest
 def test_the_command_compares_writes_and_draws(run, tmp_path):
     judge = ["--validate", "first.csv", "--validate", "second.csv", "--skip", 20]
     done = run("train.csv", *judge, "--at-rest", "--predict", 5, "--no-report", "--figures", "--output", "out")
@@ -295,6 +296,7 @@ def test_the_command_compares_writes_and_draws(run, tmp_path):
     assert done.stdout.startswith("mass is best: its error in y on the validation records")
 
 
+@pytest.mark.rest
 def test_a_step_has_its_black_boxes(run, tmp_path, model):
     time = STEP * np.arange(200)
     y = motion(np.ones(200)) + 1e-4 * np.random.default_rng(0).standard_normal(200)

@@ -105,6 +105,7 @@ def test_an_output_error_behind_an_integrator_is_that_of_a_plain_search():
     assert found.poles.real == pytest.approx([1.0, expected.x[0]], abs=1e-4) and found.stable
 
 
+@pytest.mark.rest
 def test_the_servo_drive_is_at_the_published_linear_error(shared_data):
     from models.emps import emps
 

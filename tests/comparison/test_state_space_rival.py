@@ -56,6 +56,7 @@ def compared():
     return gb.compare({m.name: m.model for m in models}, other, training=record), rival, findings, spread
 
 
+@pytest.mark.rest
 def test_a_state_space_model_of_all_outputs_is_a_rival_with_the_order_of_the_plant(compared):
     comparison, rival, findings, spread = compared
     assert [box.output for box in rival.model] == ["y1", "y2"]
@@ -74,12 +75,14 @@ def test_its_entry_is_in_the_file(compared, tmp_path):
     assert "subspace" in data["models"]
 
 
+@pytest.mark.rest
 def test_one_input_and_output_have_none():
     record, _ = coupled_masses(0, rows=300)
     models, _ = fit_black_boxes([record], ["y1"], ["F1"], policy=SMALL)
     assert "subspace" not in {m.name for m in models}
 
 
+@pytest.mark.rest
 def test_a_record_too_short_for_it_is_a_note():
     record, _ = coupled_masses(0, rows=60)
     models, findings = fit_black_boxes([record], ["y1", "y2"], ["F1", "F2"], policy=SMALL)

@@ -31,6 +31,7 @@ def frame() -> pd.DataFrame:
     return pd.DataFrame({"time [s]": TIME, "u [V]": drive, "x [mm]": 1e3 * level})
 
 
+@pytest.mark.rest
 def test_a_frame_is_read_as_the_file_that_it_writes(frame, tmp_path):
     frame.to_csv(tmp_path / "run.csv", index=False)
     file = gb.read_csv(tmp_path / "run.csv", lag)

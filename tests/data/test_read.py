@@ -739,6 +739,7 @@ def test_the_problems_of_several_files_come_in_one_message(tmp_path):
         read_experiments([], RIG)
 
 
+@pytest.mark.rest
 def test_reads_65_062_rows_fast(tmp_path):
     rows = 65_062
     noise = np.random.default_rng(3).normal(size=(2, rows))

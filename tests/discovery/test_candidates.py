@@ -83,6 +83,7 @@ def test_beside_a_list_of_the_model_only_what_is_said_rules_out(scales):
     assert "cubic_stiffness" in names and "coulomb_friction" not in names
 
 
+@pytest.mark.rest
 def test_without_a_list_of_its_own_nothing_is_left_out_by_one():
     """`check` shows a place for friction that differs by direction; two candidates together are exactly that."""
     record = {"time": [k * 1e-1 for k in range(50)], "u": [0.1] * 50}
@@ -108,6 +109,7 @@ def list_for(model):
     return {e.name for e in listed.effects}, listed.not_tried
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("model", "tried", "taken", "as_others"),
     [

@@ -76,6 +76,7 @@ def surrogate_over(levels):
     return fit_curve_surrogate(problem, problem.baseline, location, (test,), base)
 
 
+@pytest.mark.rest
 def test_the_curve_of_an_input_of_four_levels_is_known_at_these():
     surrogate = surrogate_over(LEVELS)
     assert surrogate.variable == "u" and surrogate.levels == 4
@@ -91,6 +92,7 @@ def test_the_curve_of_an_input_of_four_levels_is_known_at_these():
     assert not any(isinstance(series, Curve) for series in panel.series)
 
 
+@pytest.mark.rest
 def test_over_two_levels_there_is_no_curve():
     """Any function of two levels is a straight line, which the gain and an offset are."""
     surrogate = surrogate_over(np.array([-0.5, 1.0]))

@@ -34,6 +34,7 @@ def fit_surrogate(rig, effects, noise, rows):
     return base, location, surrogate, test
 
 
+@pytest.mark.rest
 def test_a_force_that_repeats_with_the_position_has_its_period():
     base, location, surrogate, test = fit_surrogate(pneumatic_cylinder, COGGING, {"s": 2e-4}, rows=400)
     assert location.likeliest[0] == "balance force"
@@ -51,6 +52,7 @@ def test_a_force_that_repeats_with_the_position_has_its_period():
     assert DiscoveryCode.MEASURE_MORE not in codes  # enough is known without other sensors
 
 
+@pytest.mark.rest
 def test_a_stop_has_the_position_where_it_begins():
     _, _, surrogate, _ = fit_surrogate(
         micro_actuator, {"end_stop": {"gap": 4e-5, "kc": 6000.0}}, {"x": 2e-7, "i": 5e-3}, rows=600
@@ -61,6 +63,7 @@ def test_a_stop_has_the_position_where_it_begins():
     assert surrogate.shape.position == pytest.approx(4e-5, rel=0.1)
 
 
+@pytest.mark.rest
 def test_a_dead_zone_seen_through_a_resonance_is_found_at_the_input():
     """The localisation by a slowly varying signal has it elsewhere: a curve where curves are usual is refitted with the model."""
     _, location, surrogate, _ = fit_surrogate(micro_actuator, {"input_dead_zone": {"d": 0.3}}, {"x": 2e-7}, rows=400)
@@ -73,6 +76,7 @@ def test_a_dead_zone_seen_through_a_resonance_is_found_at_the_input():
     assert find_missing_sites(elsewhere, None) == ("sensor of x",)
 
 
+@pytest.mark.rest
 def test_a_validation_record_that_reaches_beyond_the_estimation_records_is_reported():
     base, location, surrogate, test = fit_surrogate(pneumatic_cylinder, COGGING, {"s": 2e-4}, rows=300)
     far = gb.Experiment("far", test.time, test.inputs, {"s": 3 * test.outputs["s"]})

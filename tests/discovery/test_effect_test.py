@@ -24,6 +24,7 @@ def fit_plain(effects):
     return gb.fit(plain_model(micro_actuator), train, noise=NOISE, options=AT_REST), test
 
 
+@pytest.mark.rest
 def test_an_effect_is_tried_kept_and_missed_when_it_is_dropped():
     fit, test = fit_plain({"coulomb_friction": {"Fc": 0.05}})
     tried = try_effect(fit, "coulomb_friction", validation=test, nominal=plain_model(micro_actuator))
@@ -41,6 +42,7 @@ def test_an_effect_is_tried_kept_and_missed_when_it_is_dropped():
     assert dropped.smaller.misfit["x"].rmse == pytest.approx(fit.misfit["x"].rmse, rel=0.05)
 
 
+@pytest.mark.rest
 def test_an_effect_that_is_not_there_is_not_kept():
     fit, test = fit_plain({})
     tried = try_effect(fit, "cubic_stiffness", validation=test)

@@ -42,6 +42,7 @@ def fail(*_, **__):
     raise FitError("on purpose")
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("place", "stage"),
     [
@@ -71,6 +72,7 @@ def test_what_comes_after_an_unknown_effect_may_fail_as_well(rig, monkeypatch):
     assert {failure.stage for failure in found.failures} >= {SearchStage.REFINEMENT, SearchStage.SURROGATE}
 
 
+@pytest.mark.rest
 def test_an_effect_that_cannot_be_written_out_is_out_with_its_reason(rig):
     broken = Effect(
         "broken",

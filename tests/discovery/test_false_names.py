@@ -126,6 +126,7 @@ def answer(rig):
     return discover(plain, rig[0], validation=rig[1], noise=NOISE, options=AT_REST, effects=among, workers=1)
 
 
+@pytest.mark.rest
 def test_nonsense_is_not_established_where_a_spring_hardens(rig):
     found = answer(rig)
     (rate,) = found.false_names
@@ -133,6 +134,7 @@ def test_nonsense_is_not_established_where_a_spring_hardens(rig):
     assert [e["grade"] for e in found.effects] == ["established"]
 
 
+@pytest.mark.rest
 def test_one_win_leaves_the_rate_open_and_more_contests_are_held(rig, monkeypatch):
     held = iter([0.5 * (f + np.append(f[1:], f[-1])) for f in (1e10 * record.outputs["x"] ** 3 for record in rig)])
     draw_signals = false_names._draw_signals
@@ -148,6 +150,7 @@ def test_one_win_leaves_the_rate_open_and_more_contests_are_held(rig, monkeypatc
     assert (rate.tried, rate.established, rate.is_common) == (20, 1, False)
 
 
+@pytest.mark.rest
 def test_the_signal_of_the_effect_itself_is_established_and_takes_its_name_the_certainty(rig, monkeypatch):
     """The control: what adds x^3 to the force does what the spring does, under a name of no meaning."""
     cubes = [1e10 * record.outputs["x"] ** 3 for record in rig]
@@ -161,6 +164,7 @@ def test_the_signal_of_the_effect_itself_is_established_and_takes_its_name_the_c
     assert found.verdict != "named"
 
 
+@pytest.mark.rest
 def test_contests_that_fail_leave_the_answer_as_it_is(rig, monkeypatch):
     def fail(*_):
         raise FitError("on purpose")

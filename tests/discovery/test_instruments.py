@@ -11,6 +11,8 @@ from tests.support.findings import find
 from tests.support.first_order import first_order
 from tests.support.weighed_pendulum import NOISE, WITH_FRICTION, swung
 
+pytestmark = pytest.mark.rest
+
 NAMES = ("input_gain", "sensor_gain", "clock_skew", "cubic_stiffness")
 KNOWN = WITH_FRICTION.fix("J", "mgl")
 

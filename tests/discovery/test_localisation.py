@@ -39,6 +39,7 @@ def localise(effects):
     return localise_residual(gb.fit(plain_model(micro_actuator), train, noise=NOISE, options=AT_REST))
 
 
+@pytest.mark.rest
 def test_dry_friction_is_localised_in_the_force_balance_over_the_velocity():
     location = localise({"coulomb_friction": {"Fc": 0.05}})
     assert location.is_missing
@@ -201,6 +202,7 @@ def in_a_loop(name: str, seed: int, rows: int) -> gb.Experiment:
     return gb.Experiment(name, np.arange(rows) * step, {"u": u}, {"x": np.array(x) + 1e-3 * rng.standard_normal(rows)})
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("rows", "is_told"), [(400, True), (50, False)])
 def test_a_record_over_which_an_unstable_plant_loses_its_free_run_is_told(rows, is_told):
     plant = gb.Model(

@@ -117,6 +117,7 @@ def search(name, reversed_signals=(), late=0):
     return gb.discover(MODELS[name], learnt, validation=judged, noise=noise)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("name", "signal", "effect"),
     [
@@ -133,6 +134,7 @@ def test_the_reversed_signal_is_named(name, signal, effect):
     assert found.effects[0]["grade"] == "established"
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("name", "late"), [("motor", 1), ("stage", 1), ("heater", -1)])
 def test_an_input_that_is_written_in_another_row_is_named(name, late):
     found = search(name, late=late)
@@ -142,11 +144,13 @@ def test_an_input_that_is_written_in_another_row_is_named(name, late):
     assert not any("lag" in c.name for c in found.claims if c.grade == "established")
 
 
+@pytest.mark.rest
 def test_two_reversed_readings_are_one_reversed_input():
     """On a linear plant they are the same, and one wire is the simpler answer."""
     assert [e["name"] for e in search("motor", ("i", "w")).effects] == ["reversed_input"]
 
 
+@pytest.mark.rest
 def test_where_input_and_reading_may_be_reversed_alike_neither_is_certain():
     rng = np.random.default_rng(4)
     u = np.repeat(rng.uniform(-1, 1, 60), 10)
@@ -161,6 +165,7 @@ def test_where_input_and_reading_may_be_reversed_alike_neither_is_certain():
     assert "reversed_input" in str(found) and "reversed_reading" in str(found)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("name", MODELS)
 def test_right_signs_are_left_alone(name):
     assert search(name).verdict == "complete"

@@ -192,6 +192,7 @@ def assert_found(rig, effects, train, test, given, d, file):
                 assert misfit.rmse == pytest.approx(former[name].rmse, rel=0.01), (model.title, name)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("rig", "effects", "noise", "others", "rows"), CASES)
 def test_the_hidden_effect_is_told_from_its_look_alikes(rig, effects, noise, others, rows, tmp_path):
     assert_found(rig, effects, *search_rig(rig, effects, noise, others, rows), tmp_path / "model.py")
@@ -245,6 +246,7 @@ def test_a_complete_model_is_left_alone_whatever_the_noise(noise_given, colour):
     assert_complete(noise_given, colour, 0)
 
 
+@pytest.mark.rest
 def test_an_offset_and_a_load_without_the_current_are_a_tie():
     d = discover_hidden(
         micro_actuator,
@@ -260,6 +262,7 @@ def test_an_offset_and_a_load_without_the_current_are_a_tie():
     assert [check.rule for check in d.checks].count(DiscoveryRule.TIE) == 1
 
 
+@pytest.mark.rest
 def test_damping_is_told_from_its_look_alikes_and_saved_as_the_schema_says(tmp_path):
     hidden = {"quadratic_damping": {"B2": 5.0}}
     *given, d = search_rig(micro_actuator, hidden, WELL, ("coulomb_friction", "cubic_stiffness"), 250)
@@ -311,6 +314,7 @@ def duffing_record(name, seed):
     return Experiment(name, np.arange(300) * step, {"u": force}, {"x": x[:, 0] + 0.005 * rng.normal(size=300)})
 
 
+@pytest.mark.rest
 def test_of_what_does_the_same_the_simplest_is_the_answer():
     """At such small motion a hysteresis of three constants follows a cubic spring: that is no reason to say nothing."""
     mass = replace(MASS, outputs=(Output("x", "m"),)).start(B=0.6, K=3.0)

@@ -43,6 +43,7 @@ def record(correlation, seed=1):
     return Experiment.from_arrays(STEP * np.arange(ROWS), inputs={"u": u}, outputs={"y": y, "z": z})
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("correlation", [0.0, 0.8])
 @pytest.mark.parametrize("noise", [{}, {"y": 0.01, "z": 0.002}])
 def test_a_model_has_one_misfit_over_noise(noise, correlation):

@@ -126,6 +126,7 @@ def lag_record(name, seed, disturbance):
     return gb.Experiment(name, np.arange(160) * step, {"u": u}, {"y": measured})
 
 
+@pytest.mark.rest
 def test_an_effect_of_the_estimation_record_alone_is_no_answer(monkeypatch):
     """Something drifted while the estimation record was taken, and not on the day of the other one.
 
@@ -212,6 +213,7 @@ def without():
     return search_drift()
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("drift_of_third", [0.0, 0.03])
 def test_a_third_record_takes_no_part_and_holds_the_answer_against_the_plain_model(without, drift_of_third):
     """The sensor drifted on the two days that the search knows; on the third as well, or not."""

@@ -46,6 +46,7 @@ def hardening():
     return fit(few + effect("cubic_stiffness"), records[0], noise={"y": NOISE}), records, few
 
 
+@pytest.mark.rest
 def test_refining_finds_the_small_effect_and_stops(hardening):
     large, (_, test), plain = hardening
     refined = refine(large, test, plain=plain)
@@ -57,6 +58,7 @@ def test_refining_finds_the_small_effect_and_stops(hardening):
     assert (DiscoveryRule.VALIDATION_DECREASE, "quadratic_stiffness") in passed
 
 
+@pytest.mark.rest
 def test_an_effect_that_a_later_one_makes_needless_is_out_again(hardening):
     large, (record, test), plain = hardening
     useless = fit(large.model + effect("constant_load"), record, noise={"y": NOISE})
@@ -69,6 +71,7 @@ def test_an_effect_that_a_later_one_makes_needless_is_out_again(hardening):
     assert refined.steps[1].validation_share < 0.05
 
 
+@pytest.mark.rest
 def test_what_is_left_is_searched_for_further_effects_without_being_asked(tmp_path, monkeypatch):
     truth = (silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")).start(K3=7e5, K2=-4e3)
     monkeypatch.chdir(tmp_path)

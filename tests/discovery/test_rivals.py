@@ -48,6 +48,7 @@ def test_a_rival_that_is_far_behind_is_not_refitted_to_the_end():
     assert finished == [20.0, 24.0]
 
 
+@pytest.mark.rest
 def test_a_dead_zone_that_the_input_never_crosses_is_no_more_than_a_constant():
     lag = gb.Model(
         "lag",

@@ -39,6 +39,7 @@ def record(seed: int) -> gb.Experiment:
     return gb.Experiment(f"run {seed}", time_axis, {"F": force}, {"x": run.outputs["x"] + 1e-5 * rng.normal(size=100)})
 
 
+@pytest.mark.rest
 def test_a_search_without_time_says_so_and_calls_nothing_established() -> None:
     found = gb.discover(STAGE, record(1), validation=record(2), noise=NOISE, time_limit=1e-9, workers=1)
     (over,) = [f for f in found.findings if f.code is DiscoveryCode.TIME_OVER]
@@ -48,6 +49,7 @@ def test_a_search_without_time_says_so_and_calls_nothing_established() -> None:
     assert found.base.misfit["x"].rmse > 10 * 1e-5
 
 
+@pytest.mark.rest
 def test_what_was_found_by_then_is_the_answer_and_no_effect_of_it_is_established(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

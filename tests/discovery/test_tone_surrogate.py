@@ -47,6 +47,7 @@ def found(rig):
     )
 
 
+@pytest.mark.rest
 def test_a_hum_is_a_tone_at_its_site_and_explains_the_gap(found):
     assert found.verdict is Verdict.UNKNOWN
     surrogate = found.surrogate
@@ -83,6 +84,7 @@ def test_the_model_with_the_tone_is_fitted_to_records_at_rest_from_its_file(foun
     assert (begin["x"], begin["v"]) == (0.0, 0.0)
 
 
+@pytest.mark.rest
 def test_a_tone_is_found_at_rest_too_and_not_where_there_is_none(rig):
     def fit_surrogate(fit):
         problem, candidate = DiscoveryProblem.from_fit(fit), to_candidate_fit(fit)
@@ -99,6 +101,7 @@ def test_a_tone_is_found_at_rest_too_and_not_where_there_is_none(rig):
     assert fit_surrogate(gb.fit(model, rubbing, validation=test, noise=NOISE, options=AT_REST)) is None
 
 
+@pytest.mark.rest
 def test_the_tone_is_written_drawn_and_reported(found, tmp_path):
     saved = json.loads(found.save(tmp_path / "discovery.json").read_text())["stand_in"]
     assert saved["tone"]["frequency"] == found.surrogate.tone.frequency

@@ -82,6 +82,7 @@ def test_records_that_would_have_a_constant_beyond_its_bound_say_so():
     assert EstimationCode.LIMITED_FROM_BOUND not in codes(found.findings)
 
 
+@pytest.mark.rest
 def test_limits_hold_as_often_as_they_say():
     """A constant at zero lies on its bound in about half of its records; the limits hold zero but where it seems to be pulled beyond."""
     model = line(lambda p: p.b, Parameter("b", "1", 0.1, (0.0, 5.0)), TAU)

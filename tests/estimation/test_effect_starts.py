@@ -53,6 +53,7 @@ def plain(record) -> gb.Fit:
     return gb.fit(swing(), record)
 
 
+@pytest.mark.rest
 def test_dry_friction_of_a_free_swing_is_found_from_its_neutral_value(record):
     found = gb.fit(swing() + gb.effect("coulomb_friction"), record)
     assert found.success
@@ -61,6 +62,7 @@ def test_dry_friction_of_a_free_swing_is_found_from_its_neutral_value(record):
     assert found.misfit["q"].rmse == pytest.approx(NOISE, rel=0.1)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     "name", ["coulomb_friction", "quadratic_damping", "sensor_lag", "cubic_stiffness", "second_mode"]
 )
@@ -69,6 +71,7 @@ def test_a_model_with_an_effect_more_is_never_worse(name, record, plain):
     assert larger.misfit["q"].rmse <= 1.001 * plain.misfit["q"].rmse
 
 
+@pytest.mark.rest
 def test_two_effects_at_once_begin_one_after_the_other(record):
     model = swing() + gb.effect("coulomb_friction") + gb.effect("quadratic_damping")
     found = gb.fit(model, record)
@@ -118,6 +121,7 @@ def test_an_effect_whose_own_values_are_a_fit_s_begins_there():
     assert fitted.values["Fc"] == 0.6 and not is_neutral(fitted, friction)
 
 
+@pytest.mark.rest
 def test_a_sharp_resonance_is_found_from_all_of_its_starts():
     dt, rows = 2e-3, 3000
     time = dt * np.arange(rows)

@@ -193,6 +193,7 @@ def test_initial_states_that_do_not_go_with_the_model_are_refused(initial, optio
         fit(SQUARED, decaying(2.0), noise={"y": 1e-3}, initial=initial, options=options)
 
 
+@pytest.mark.rest
 def test_gaps_and_irregular_time_do_not_move_the_constants():
     rng = np.random.default_rng(5)
     truth = micro_actuator.fix("M", "Ra")
@@ -209,6 +210,7 @@ def test_gaps_and_irregular_time_do_not_move_the_constants():
     assert found.misfit["x"].samples == np.isfinite(outputs["x"]).sum()
 
 
+@pytest.mark.rest
 def test_a_first_order_input_is_integrated_as_such():
     truth = micro_actuator.fix("M", "Ra") + effect("cubic_stiffness")
     truth = truth.start(K3=3e11)
@@ -324,6 +326,7 @@ def test_the_worst_output_is_the_one_with_the_largest_ratio_that_is_told():
     assert found.misfit["x"].rmse > 4 * found.noise.std["x"]
 
 
+@pytest.mark.rest
 def test_a_column_in_another_unit_or_of_the_other_sign_is_no_plant_of_this_model():
     record = linear_record(micro_actuator, actuator_input(3), 2.5e-4, noise={"x": 1e-7, "i": 1e-3}, seed=3)
     free = micro_actuator.fix("M", "Ra")

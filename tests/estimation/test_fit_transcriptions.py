@@ -106,6 +106,7 @@ CASES = {
 }
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("transcription", ALL)
 @pytest.mark.parametrize("case", CASES)
 def test_the_same_fit_by_every_transcription_gives_the_same_constants(case, transcription):
@@ -161,6 +162,7 @@ def test_the_default_transcription_is_stated_with_its_reason(case, transcription
     assert strategy.values["reason"] == reason
 
 
+@pytest.mark.rest
 def test_a_stiff_plant_is_fitted_with_implicit_steps_and_says_so():
     """The spool settles within 0.1 ms, samples are 10 ms apart: an explicit step is stable with 90 of them in a sample."""
     model = Model(
@@ -202,6 +204,7 @@ def test_a_stiff_plant_is_fitted_with_implicit_steps_and_says_so():
             assert other.parameters[name].std == pytest.approx(std, rel=0.02)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("transcription", ONE_OF_EACH)
 def test_intervals_and_own_constants_are_those_of_single_shooting(transcription):
     """Two days with a damping of their own, a prior on the stiffness: every transcription weighs them alike."""
@@ -271,6 +274,7 @@ def test_a_robust_loss_on_an_unstable_plant_is_refused_in_words():
         fit(truth.start(k=700.0), held_up(truth, 600, 2e-3, {"x": 2e-3}), options=FitOptions(loss="huber"))
 
 
+@pytest.mark.rest
 def test_short_arcs_show_the_structure_of_the_drive_and_the_whole_record_what_drifts(shared_data):
     """The published drive: arcs of 0.1 s give the constants that inverse dynamics gives (95.1 kg, 203.5 N s/m, 20.4 N, 3.16 N)."""
     from greybox import read_csv
@@ -295,6 +299,7 @@ def test_short_arcs_show_the_structure_of_the_drive_and_the_whole_record_what_dr
             asked()
 
 
+@pytest.mark.rest
 def test_arcs_with_coloured_noise_are_searched_with_their_initial_states():
     model = micro_actuator.fix("M", "Ra")
     noise = {"x": 2e-7, "i": 5e-3}
@@ -374,6 +379,7 @@ def test_dry_friction_by_collocation_is_refused_in_words():
         fit(emps + effect("coulomb_friction"), data, options=FitOptions(transcription="collocation-radau"))
 
 
+@pytest.mark.rest
 def test_the_exact_hessian_ends_where_gauss_newton_does():
     truth, start, data, noise, _ = duffing_case()
     found = fit(start, data, noise=noise, options=FitOptions(transcription="collocation-radau", hessian="exact"))

@@ -97,6 +97,7 @@ def test_profile_and_bootstrap_meet_the_interval(path):
         assert again.std[name] == pytest.approx(found.parameters[name].std, rel=0.4 if path == "sandwich" else 0.25)
 
 
+@pytest.mark.rest
 @every_path
 def test_the_residual_is_tested(path, tmp_path):
     found = residual_tests(found_on(path))
@@ -110,6 +111,7 @@ def test_the_residual_is_tested(path, tmp_path):
         assert [f.name for f in files] == ["residual-x.png", "residual-v.png"] and all(f.stat().st_size for f in files)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("path", ["free run", "known process noise", "huber", "sandwich", "multiple shooting"])
 def test_free_run_and_prediction_are_scored_side_by_side(path):
     found = found_on(path)

@@ -69,6 +69,7 @@ def test_estimated_parts_are_the_most_likely_ones() -> None:
     assert result.misfit["y"].noise_ratio == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("told", "unknown"),
     [(GrowingNoise(floor=0.02), "share"), (GrowingNoise(share=0.1), "floor"), (GrowingNoise(0.0), "share")],
@@ -168,6 +169,7 @@ def test_a_saved_fit_is_read_back_with_its_noise(tmp_path) -> None:
     assert gb.uncertainty.profile(again, "k").interval == gb.uncertainty.profile(result, "k").interval
 
 
+@pytest.mark.rest
 def test_a_change_is_named_and_a_repeat_is_none() -> None:
     reference = fit(record(12), GrowingNoise())
     same = [gb.detect_changes(reference, record(100 + k), search_effects=False).verdict for k in range(10)]

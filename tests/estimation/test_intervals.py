@@ -105,6 +105,7 @@ def test_the_form_of_a_long_record_is_summed_in_blocks(monkeypatch, reach, rows)
     assert compute_toeplitz_form(columns, fading) == pytest.approx(columns.T @ toeplitz(fading) @ columns, rel=1e-10)
 
 
+@pytest.mark.rest
 def test_the_sandwich_widens_the_interval_by_what_the_colour_costs():
     """Spread of the constants over many records of AR(1) noise, against the stated standard deviation."""
     fits = [fit(TRUTH, actuator_record(seed, 0.9)) for seed in range(20)]
@@ -249,6 +250,7 @@ def test_a_step_does_not_tell_friction_from_back_emf_and_gives_neither_a_value(v
     assert any(s["parts"] == ["experiment:'ramp'", "experiment:'step'"] for s in shifts)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_constant_constants_raise_no_alarm(rho):
     fits = [fit(TRUTH, actuator_record(seed, rho)) for seed in range(60)]
@@ -256,6 +258,7 @@ def test_constant_constants_raise_no_alarm(rho):
     assert sum(alarms) <= 3
 
 
+@pytest.mark.rest
 def test_emps_intervals_admit_both_estimators_and_the_alias_is_raised(shared_data):
     rubbing = emps + gb.effect("coulomb_friction") + gb.effect("constant_load")
     found = fit(rubbing, gb.read_csv(shared_data / "emps" / "train.csv", rubbing))

@@ -59,6 +59,7 @@ def test_a_fit_keeps_the_signals_of_its_record():
     assert trace.experiment.inputs["u"] is record.inputs["u"]
 
 
+@pytest.mark.rest
 def test_residual_tests_go_over_a_long_record_in_blocks():
     rng = np.random.default_rng(0)
     residual, u = rng.normal(size=ROWS), np.repeat(rng.normal(size=ROWS // 50), 50)
@@ -111,6 +112,7 @@ def test_correlations_are_those_of_whole_records():
     assert count == 250_028
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     "fit_black_box",
     [
@@ -124,6 +126,7 @@ def test_black_boxes_are_fitted_in_blocks(record, fit_black_box):
     assert measure_peak(lambda: fit_black_box(record)) < 1.5 * 3 * NUMBER * ROWS + 1e7
 
 
+@pytest.mark.rest
 def test_long_lists_of_a_result_file_are_read_without_their_text(tmp_path):
     rows = ROWS // 2
     path = gb.fit(lag(), lag_record(rows, 1), noise={"x": 1e-3}).save(tmp_path / "fit.json")

@@ -75,6 +75,7 @@ def test_every_start_of_the_actuator_ends_at_the_optimum():
         assert abs(found.best.parameters[q.name].value - q.value) < 4 * found.best.parameters[q.name].std
 
 
+@pytest.mark.rest
 def test_processes_find_what_one_process_finds():
     truth = micro_actuator.fix("M", "Ra", "Kv", "Kf")
     data = linear_record(
@@ -290,6 +291,7 @@ def lag_model():
     )
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     "effects",
     [

@@ -96,6 +96,7 @@ def check_no_worse(model, record, **options):
     return found
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("name", QUICK)
 def test_a_fit_begun_at_the_true_constants_stays_as_good(name):
     check_no_worse(*PLANTS[name]())

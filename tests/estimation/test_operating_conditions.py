@@ -92,6 +92,7 @@ def test_an_experiment_without_a_condition_has_the_models_value():
     np.testing.assert_allclose(found.fixed, values(TRUTH), rtol=1e-7)
 
 
+@pytest.mark.rest
 def test_every_transcription_knows_the_conditions():
     data = [record(s, 200) for s in SUPPLIES]
     p = laid_out(start(1.2), data, at_rest=True)

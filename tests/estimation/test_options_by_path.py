@@ -13,6 +13,8 @@ from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Param
 from greybox.base import ModelError
 from greybox.estimation.score import score_fit
 
+pytestmark = pytest.mark.rest
+
 TIME = 0.05 * np.arange(120)
 TRUE = {"M": 0.7, "D": 1.5, "K": 30.0, "K3": 40.0}
 

@@ -374,6 +374,7 @@ def test_it_is_saved_and_read_without_loss(fitted, tmp_path):
     assert objective.evaluate(objective.variables.here).cost == pytest.approx(result.solver.cost, rel=1e-6)
 
 
+@pytest.mark.rest
 def test_a_region_of_two_constants_lies_around_their_estimates(fitted):
     case, result = fitted
     one, other = list(case.truth)[:2]
@@ -431,6 +432,7 @@ def test_it_is_checked_before_a_fit(fitted):
             check(case.model)
 
 
+@pytest.mark.rest
 def test_an_effect_at_an_output_is_one_more_constant(case):
     """A reading that drifts by a known rate: the straight line is added by hand."""
     if predicts(case):
@@ -451,6 +453,7 @@ def test_an_effect_at_an_output_is_one_more_constant(case):
         assert abs(result.parameters[name].value - true) < 4 * result.parameters[name].std
 
 
+@pytest.mark.rest
 def test_an_effect_at_an_output_is_found(case):
     """By the same search, with the same answer, whatever the plant is."""
     if case.name in ("model", "filter", "frequency"):

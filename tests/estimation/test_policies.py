@@ -137,6 +137,7 @@ def test_profile_and_bootstrap_keep_the_numbers_they_went_by(data) -> None:
     assert bootstrap(found, np.random.default_rng(0), replicates=20, policy=blocks).policy is blocks
 
 
+@pytest.mark.rest
 def test_check_and_comparison_store_the_options_of_the_estimation(data, tmp_path) -> None:
     options = FitOptions(at_rest=True, policy=CHANGED)
     assert check(PLANT, data, options=options).as_dict()["options"] == options.to_data()

@@ -7,6 +7,8 @@ from scipy.integrate import solve_ivp
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
 
+pytestmark = pytest.mark.rest
+
 T = np.linspace(0, 8, 81)
 FAST = [Parameter("fast", "s", 2e-5, (1e-9, 1), fixed=True)]
 DRIVE = np.repeat(np.random.default_rng(4).uniform(0, 2, 9), 9)

@@ -183,6 +183,7 @@ def test_a_factor_of_a_unit_is_named(factor, units):
     assert units is None or units in str(conflict)
 
 
+@pytest.mark.rest
 def test_conflicts_are_standard_normal_where_both_are_right():
     conflicts = []
     for seed in range(40):
@@ -237,6 +238,7 @@ def test_the_gradient_holds_with_priors():
     assert here.cost > here.squares.sum()
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("transcription", ["multiple", "collocation-radau", "arcs"])
 def test_other_transcriptions_weigh_priors_too(transcription):
     known = micro_actuator.fix("M", "Ra").prior(La=(5.2e-4, 2e-6))

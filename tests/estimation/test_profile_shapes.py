@@ -78,6 +78,7 @@ def test_two_valleys_are_told():
     assert "the cost has fallen again" in str(seen)
 
 
+@pytest.mark.rest
 def test_profiles_of_the_semibatch_reactor_cover_the_constants_behind_its_record():
     """Published: intervals by the covariance miss them, since a frequency factor and its activation energy are nearly collinear."""
     result = gb.fit(semibatch(), published_record(), options=REST)

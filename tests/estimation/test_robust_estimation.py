@@ -121,6 +121,7 @@ def test_the_optimum_is_that_of_scipy(text, scipys, threshold):
     assert abs(plain.parameters["a"].value - 19.14) > 2 * abs(found.parameters["a"].value - 19.14)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("text", ROBUST)
 def test_outliers_that_ruin_least_squares_leave_a_robust_fit_alone(text):
     worst_plain, worst, width = [], [], []
@@ -141,6 +142,7 @@ def test_outliers_that_ruin_least_squares_leave_a_robust_fit_alone(text):
     assert EstimationCode.MISFIT_ABOVE_NOISE in codes(plain.findings)
 
 
+@pytest.mark.rest
 def test_without_outliers_it_costs_a_few_percent():
     """The variance over many records, and the stated one, against theory."""
     theory = {"huber": 0.950, "student": 0.926}
@@ -156,6 +158,7 @@ def test_without_outliers_it_costs_a_few_percent():
         assert spread[0] / spread[k] == pytest.approx(efficiency, abs=0.12)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("text", ROBUST)
 def test_intervals_hold_with_outliers(text):
     z = [

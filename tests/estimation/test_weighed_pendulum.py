@@ -36,6 +36,7 @@ def test_with_the_gain_held_the_page_says_that_weighed_and_fitted_disagree_and_b
     assert str(alike) in " ".join(str(found).split())
 
 
+@pytest.mark.rest
 def test_with_the_gain_free_the_weighed_values_lie_inside_their_intervals(too_large):
     found = gb.fit(WITH_FRICTION + gb.effect("input_gain"), too_large, noise=NOISE)
     gain = found.parameters["g"]

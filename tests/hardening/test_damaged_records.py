@@ -167,6 +167,7 @@ def test_what_pandas_says_of_a_file_is_not_needed(tmp_path, metadata):
     assert read_csv(parquet(tmp_path / "run.parquet", {b"pandas": metadata}), RIG).rows == N
 
 
+@pytest.mark.rest
 def test_a_parquet_file_with_one_changed_byte_is_read_or_refused(tmp_path):
     whole = bytearray(parquet(tmp_path / "run.parquet").read_bytes())
     for place in range(0, len(whole), 5):
@@ -176,6 +177,7 @@ def test_a_parquet_file_with_one_changed_byte_is_read_or_refused(tmp_path):
         read_or_refuse(tmp_path / "run.parquet")
 
 
+@pytest.mark.rest
 def test_a_parquet_file_that_unpacks_to_much_is_refused_before(tmp_path):
     rows = 60_000_000
     column = pa.DictionaryArray.from_arrays(pa.array(np.zeros(rows, np.int8)), pa.array([1.0]))
@@ -251,6 +253,7 @@ def test_a_missing_value_of_a_spreadsheet_is_a_gap(tmp_path):
     assert np.isnan(read_csv(path, RIG).outputs["i"][5])
 
 
+@pytest.mark.rest
 def test_bytes_that_are_no_text_give_a_short_message(tmp_path):
     rng = np.random.default_rng(3)
     for k in range(20):
@@ -324,6 +327,7 @@ def test_pipes_and_devices_are_named_as_such(tmp_path):
     refused(tmp_path / "fifo.csv", mentions="is a pipe or a device")
 
 
+@pytest.mark.rest
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of memory of a process, in kilobytes")
 def test_a_large_text_takes_little_memory_beyond_its_columns(tmp_path):
     """300 000 rows of 8 columns, of which 3 are wanted: 7 MB of numbers from 40 MB of text."""

@@ -44,6 +44,7 @@ def names(model):
     return {e.name for e in applicable_effects(model)}
 
 
+@pytest.mark.rest
 def test_any_balance_of_a_speed_takes_friction_and_each_body_its_own():
     assert {"coulomb_friction", "coulomb_friction_at_load", "cubic_stiffness", "cubic_stiffness_at_load"} <= names(
         TWO_BODIES

@@ -31,6 +31,7 @@ def rates(model: Model, system: System | None = None) -> np.ndarray:
     return f(x, u, list(model.values.values()), 0.5).full().ravel()
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("plant", [micro_actuator, pneumatic_cylinder], ids=lambda m: m.name)
 def test_models_that_differ_in_numbers_share_the_system_that_would_be_built(plant: Model) -> None:
     for entry in (e for e in applicable_effects(plant) if e.parameters):

@@ -312,6 +312,7 @@ def at_truth(folder):
     return rows, model, step, CREEPING.get(folder.name, allowance)
 
 
+@pytest.mark.rest
 def test_simulated_cases_are_explained_to_the_noise_at_their_true_constants(shared_blind):
     wrong = []
     folders = [folder for folder in sorted(shared_blind.glob("case-*")) if true_model(folder)]

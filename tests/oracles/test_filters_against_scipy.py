@@ -47,6 +47,7 @@ def test_correlations_of_coloured_noise_go_on_as_a_filter_does(reflection: tuple
     assert colour.autocorrelation(5000 + len(first)) == pytest.approx(np.append(first, rest), abs=1e-12)
 
 
+@pytest.mark.rest
 def test_a_discovery_loads_nothing_that_is_slow_to_import() -> None:
     code = f"import sys, {NEEDED}; print(sorted({SLOW} & set(sys.modules)))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -85,6 +85,7 @@ def idle_names(names: set[str]) -> set[str]:
     return left
 
 
+@pytest.mark.rest
 def test_a_setting_is_turned_by_somebody() -> None:
     """A number that no caller, study or test turns is a constant above the function that it steers."""
     settings = policies()

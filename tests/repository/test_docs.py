@@ -44,6 +44,7 @@ def hooks():
     return module
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("page", QUICK)
 def test_a_page_runs_and_prints_what_it_shows(page: str, tmp_path: Path) -> None:
     run = run_page(DOCS / page, tmp_path)

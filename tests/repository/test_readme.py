@@ -24,6 +24,7 @@ def run(folder: Path) -> Run:
     return run_page(README, folder)
 
 
+@pytest.mark.rest
 def test_every_command_and_line_of_code_runs_and_prints_what_is_shown(run: Run) -> None:
     assert not run.missing, "\n".join(run.missing)
     said = {command.split()[1] for command in run.commands}

@@ -54,6 +54,7 @@ def drawn(*names: str) -> list[str]:
     return [f"{name}.{kind}" for name in names for kind in ("png", "svg", "pdf")]
 
 
+@pytest.mark.rest
 def test_a_fit_prints_saves_and_draws(run: Run, data: Path, tmp_path: Path) -> None:
     start = ["--start", "K=5000", "--start", "Kv=1"]
     judge = ["--validate", data / "test.csv", "--skip", 50]
@@ -113,6 +114,7 @@ def test_the_command_does_what_the_library_does(run: Run, data: Path, tmp_path: 
         assert saved.parameters[name].value == printed["parameters"][name]["value"]
 
 
+@pytest.mark.rest
 def test_quiet_means_silent(run: Run, data: Path, tmp_path: Path) -> None:
     result = run(
         "fit", "micro_actuator", data / "train.csv", *KNOWN, "-q", "--no-report", "--figures", "--output", "out"
@@ -167,6 +169,7 @@ def test_several_validation_records_are_judged_one_by_one(run: Run, data: Path, 
     assert saved.validation.misfit["x"].noise_ratio == pytest.approx(pooled, rel=5e-3)  # three digits are printed
 
 
+@pytest.mark.rest
 def test_an_output_that_only_a_validation_record_has_is_drawn(run: Run, data: Path, tmp_path: Path) -> None:
     rows = [line.rpartition(",")[0] for line in (data / "train.csv").read_text().splitlines()]
     (tmp_path / "x.csv").write_text("\n".join(rows))
@@ -377,6 +380,7 @@ def test_models_are_listed_and_printed(run: Run) -> None:
     assert run("models", "nonsense").exit_code == 2
 
 
+@pytest.mark.rest
 def test_effects_are_listed_with_their_places(run: Run) -> None:
     catalogue, whole = run("effects"), run("effects", "--details")
     assert "coulomb_friction" in catalogue.stdout and "Fc [{force}]" not in catalogue.stdout
@@ -513,6 +517,7 @@ def test_a_constant_in_no_equation_is_noted(run: Run, tmp_path: Path) -> None:
     assert run("models", "micro_actuator").stderr == ""
 
 
+@pytest.mark.rest
 def test_check_names_what_the_record_leaves_open(run: Run, data: Path) -> None:
     result, whole = (run("check", "micro_actuator", data / "train.csv", *more) for more in ((), ("--details",)))
     assert result.exit_code == 0, result.output
@@ -526,6 +531,7 @@ def test_check_names_what_the_record_leaves_open(run: Run, data: Path) -> None:
     assert closed.stdout.startswith("These records determine every free parameter of micro_actuator")
 
 
+@pytest.mark.rest
 def test_init_and_a_fit_inside(run: Run, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert run("init", "mine").exit_code == 0
     again = run("init", "mine")

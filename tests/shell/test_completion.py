@@ -45,6 +45,7 @@ def inside(line: str) -> list[str]:
     return [offer.partition(",")[2] for offer in done.stdout.split("\n") if offer]
 
 
+@pytest.mark.rest
 def test_the_command_itself_answers_the_shell() -> None:
     assert offered("greybox fit micro_act") == ["micro_actuator", "micro_actuator_no_inductance"]
 

@@ -47,6 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
+@pytest.mark.rest
 def test_records_at_two_supply_pressures_are_fitted_with_the_conditions_that_they_state(run: Run, folder, tmp_path):
     files = [folder / f"{name}.csv" for name in ("column", "comment")]
     result = run("fit", "pneumatic_cylinder", *files, *NOISE, "--condition", "P_S", "--no-report", "--details")

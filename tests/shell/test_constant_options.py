@@ -66,6 +66,7 @@ def run(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     return call
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("records", "options", "found", "shown"),
     [

@@ -27,6 +27,7 @@ def result(tmp_path_factory: pytest.TempPathFactory, announced: list[str]) -> De
     return run_demo(tmp_path_factory.mktemp("demo"), say=announced.append, pictures=True)
 
 
+@pytest.mark.rest
 def test_the_model_alone_misses_the_record_by_far(result: Demo) -> None:
     assert HIDDEN not in {e.name for e in result.plain.model.effects}
     assert result.plain.misfit["x"].noise_ratio > 50

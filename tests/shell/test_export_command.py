@@ -44,6 +44,7 @@ def test_each_format_is_written(saved, tmp_path, monkeypatch, to):
     assert "files: results" in done.output
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("to", "files"), [("c", [".c", ".h"]), ("fmu", [".fmu"])])
 def test_code_is_stepped_as_the_records_were(saved, tmp_path, to, files):
     done = export(saved, "--to", to, "--output", tmp_path / "plant")
@@ -79,6 +80,7 @@ def test_an_observer_of_a_model_that_lacks_nothing_says_what_to_give(saved, tmp_
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.rest
 def test_a_casadi_function_is_read_back(saved, tmp_path):
     done = export(saved, "--to", "casadi", "--dt", "2.5e-4", "--output", tmp_path / "plant")
     assert done.exit_code == 0, done.output
@@ -181,6 +183,7 @@ def test_a_fit_that_failed_is_warned_about(saved, tmp_path):
     assert f"warning: {Finding(ExportFinding.FIT_FAILED, values={'status': 'interrupted'})}\n" in done.output
 
 
+@pytest.mark.rest
 def test_the_exported_python_model_can_be_fitted_again(saved, tmp_path):
     assert export(saved, "--to", "python", "--output", tmp_path / "rig.py").exit_code == 0
     done = subprocess.run(

@@ -182,6 +182,7 @@ def test_a_study_of_another_project_runs_nothing_of_it(trap: Path):
     assert list(project.rglob("ran"))
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     "line", ["greybox fit ", "greybox fit rig --fix ", "greybox fit models/rig.py --fix k", "greybox models "]
 )

@@ -38,6 +38,7 @@ def test_the_schema_of_a_command_is_whole_in_itself(command: str) -> None:
     assert accepts("schema", schema)
 
 
+@pytest.mark.rest
 def test_what_commands_that_compute_nothing_print_is_as_their_schema_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -116,6 +116,7 @@ def test_it_is_refused_in_one_line_and_nothing_is_written(
     assert sorted(prepared.rglob("*")) == before
 
 
+@pytest.mark.rest
 def test_effects_may_be_given_with_commas(prepared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(prepared)
     together = run("effects", "micro_actuator", "--effect", "coulomb_friction,cubic_stiffness")

@@ -89,6 +89,7 @@ def test_bad_choices_end_with_2_and_nothing_is_written(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.rest
 def test_a_discovery_keeps_ties_and_counts_priors(run: Run, data: Path, tmp_path: Path) -> None:
     options = [*KNOWN, "--tie", "Kv=Kf", "--prior", "B=20+-1e-5", "--effects", "input_offset", "--no-report"]
     result = run(

@@ -61,6 +61,7 @@ EVERYTHING = {
 }
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("case", EVERYTHING)
 def test_a_study_file_repeats_the_options_to_the_last_bit(run: Run, data: Path, tmp_path: Path, case: str) -> None:
     file, line = EVERYTHING[case]

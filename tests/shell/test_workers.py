@@ -108,6 +108,7 @@ def test_changes_without_a_search_share_nothing(kind, option, reference, tmp_pat
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.rest
 def test_workers_give_the_fit_that_one_process_gives(record, tmp_path):
     fits = []
     for workers in ("1", "2"):
@@ -167,6 +168,7 @@ def without_times(data):
     return [without_times(v) for v in data] if isinstance(data, list) else data
 
 
+@pytest.mark.rest
 @pytest.mark.skipif(sys.platform == "win32", reason="signals as POSIX has them")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_request_to_end_keeps_what_is_finished_and_the_same_command_goes_on(record, tmp_path, number):
@@ -203,6 +205,7 @@ def test_too_little_memory_is_told(capsys):
     assert capsys.readouterr().err.startswith("error: not enough memory")
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1", "utf-8"])
 def test_names_that_the_terminal_does_not_know_are_no_traceback(record, tmp_path, encoding):
     folder = tmp_path / "ünï名"
@@ -229,6 +232,7 @@ def test_names_that_the_terminal_does_not_know_are_no_traceback(record, tmp_path
     assert (folder / "a.csv").exists()
 
 
+@pytest.mark.rest
 @pytest.mark.skipif(sys.platform != "linux", reason="file names of any bytes")
 def test_a_file_name_that_is_no_text_is_no_traceback(tmp_path):
     name = os.fsdecode(os.fsencode(tmp_path) + b"/odd\xff\xfe")
@@ -242,6 +246,7 @@ def test_a_file_name_that_is_no_text_is_no_traceback(tmp_path):
     assert b"Traceback" not in done.stderr, done.stderr.decode()
 
 
+@pytest.mark.rest
 @pytest.mark.skipif(sys.platform == "win32", reason="closed streams as POSIX has them")
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-", ">/dev/full", "2>/dev/full"])
 def test_closed_or_full_streams_are_no_traceback(closed):

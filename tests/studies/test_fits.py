@@ -18,6 +18,7 @@ def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
     return subprocess.run([sys.executable, "-m", *arguments], cwd=folder, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("study", STUDIES)
 def test_a_study_without_its_data_says_what_it_needs(tmp_path, study):
     bare, empty = run(ROOT, f"fits.{study}"), run(ROOT, f"fits.{study}", str(tmp_path))
@@ -27,6 +28,7 @@ def test_a_study_without_its_data_says_what_it_needs(tmp_path, study):
     assert "Traceback" not in bare.stderr + empty.stderr
 
 
+@pytest.mark.rest
 def test_a_study_runs_inside_a_new_project(tmp_path, shared_data):
     write_project(tmp_path / "mine")
     done = run(tmp_path / "mine", "fits.cascaded_tanks_base", str(shared_data / "cascaded_tanks"))
@@ -34,10 +36,12 @@ def test_a_study_runs_inside_a_new_project(tmp_path, shared_data):
     assert done.stdout.startswith("cascaded_tanks does not explain its records")
 
 
+@pytest.mark.rest
 def test_dry_friction_explains_the_drive(shared_data):
     emps_dry_friction.verdict(*emps_dry_friction.study(shared_data / "emps"))
 
 
+@pytest.mark.rest
 def test_the_silverbox_hardens(shared_data):
     silverbox_hardening.verdict(*silverbox_hardening.study(shared_data / "silverbox"))
 

@@ -26,6 +26,8 @@ from tests.support.decay import decay
 from tests.support.filters import discrete
 from tests.support.semibatch import TRUTH, semibatch, simulated_record
 
+pytestmark = pytest.mark.rest
+
 ROWS = 1500
 RIGS = {
     "micro_actuator": (micro_actuator.fix("M", "Ra"), {"x": 2e-7, "i": 5e-3}, 2.5e-4),

@@ -12,6 +12,7 @@ def silverbox(shared_data):
     return train.window(0, 10000), tests
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     "fit",
     [

@@ -68,6 +68,7 @@ def test_every_rig_is_searched_and_no_search_judges_on_what_it_has_seen() -> Non
             assert len(overlapping) == 1, case
 
 
+@pytest.mark.rest
 def test_an_answer_takes_its_round_trip() -> None:
     plant = gb.Model(
         "rotor",

@@ -28,6 +28,7 @@ def micromotion():
     return micromotion_paper.study()
 
 
+@pytest.mark.rest
 def test_tables_1_and_3_come_out_within_fifteen_percent(micromotion):
     assert rms_log(micromotion.table_1, wang.TABLE_1) < 0.15
     assert rms_log([r.direct for r in micromotion.structures], wang.TABLE_3_DIRECT) < 0.15

@@ -21,6 +21,7 @@ def test_the_plain_twin_is_the_model_of_the_template(plant: str) -> None:
     assert all(signal.noise_ratio == pytest.approx(1.0, abs=0.15) for signal in run.misfit.values())
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("plant", sorted(SETUPS))
 def test_a_foreign_effect_shows_and_the_case_can_be_drawn_again(plant: str) -> None:
     case, again = (make(11, "foreign", plant, 300) for _ in range(2))
@@ -30,6 +31,7 @@ def test_a_foreign_effect_shows_and_the_case_can_be_drawn_again(plant: str) -> N
     assert set(case.effects) <= set(SETUPS[plant].foreign)
 
 
+@pytest.mark.rest
 def test_a_body_on_a_dry_slope_comes_to_rest_where_work_and_friction_balance() -> None:
     """A mass without spring or damper, thrown by a force of one sample, slides ``v^2 M / (2 Fc)`` and stays."""
     p = {"M": 2.0, "B": 0.0, "K": 0.0, "Kf": 1.0}

@@ -39,6 +39,7 @@ def test_the_stand_in_sticks_and_slides_to_the_square_of_its_step():
     assert np.abs(runs[1] - runs[2]).max() < 1e-5
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("measured", ["position", "pressures too"])
 @pytest.mark.parametrize("noisy", [False, True], ids=["clean", "noisy"])
 def test_constants_come_back_from_short_records(truth, noisy, measured):
@@ -53,6 +54,7 @@ def test_constants_come_back_from_short_records(truth, noisy, measured):
         assert study.worst_error(found, truth) < 0.01
 
 
+@pytest.mark.rest
 def test_critical_ratio_dead_band_and_friction_come_back_together():
     truth = study.dead_band.free("b")
     records = study.experiments(truth, duration=10.0, repeats=1)

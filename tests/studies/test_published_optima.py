@@ -4,6 +4,8 @@ import pytest
 
 from fits.published_problems import PROBLEMS, fit_from
 
+pytestmark = pytest.mark.rest
+
 # A narrow valley into which no damped step leads from so far: a fit says that it has not explained the data.
 FAR = {("MGH17", 0)}
 CASES = [(name, k) for name, problem in PROBLEMS.items() for k in range(len(problem.starts))]

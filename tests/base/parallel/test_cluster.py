@@ -150,6 +150,7 @@ def work_after_a_death(folder: Path, item: int) -> tuple[int, int]:
     return item, os.getpid()
 
 
+@pytest.mark.rest
 @needs_dask
 def test_a_local_cluster_of_two_processes_survives_the_death_of_one(tmp_path):
     killed: list[int] = []
@@ -170,6 +171,7 @@ def test_a_local_cluster_of_two_processes_survives_the_death_of_one(tmp_path):
     assert not {os.getpid(), *killed} & {r.value[1] for r in results} and len(killed) == 1
 
 
+@pytest.mark.rest
 @needs_dask
 def test_a_model_is_fitted_on_a_cluster_as_here(tmp_path):
     model = lag()

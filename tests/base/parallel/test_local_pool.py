@@ -53,6 +53,7 @@ def start(folder: Path, doing: str, main: str = "") -> tuple[subprocess.Popen, l
     return process, workers
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("doing", JOBS)
 @pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
 def test_workers_end_with_their_parent(tmp_path, doing, by):

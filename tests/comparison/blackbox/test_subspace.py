@@ -63,6 +63,7 @@ def test_order_and_poles_of_exact_records(name, weight):
     np.testing.assert_allclose(model.offset - at_zero, 3.0, atol=1e-6)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("name", PLANTS)
 def test_noisy_records_give_a_model_that_predicts_and_runs(name):
     record, _ = make_record(name, rows=9000, noise=0.05)
@@ -78,6 +79,7 @@ def test_noisy_records_give_a_model_that_predicts_and_runs(name):
         assert np.std(one - other.outputs[box.output]) < 1.1 * noise
 
 
+@pytest.mark.rest
 def test_process_noise_makes_a_predictor_with_the_gain_of_the_kalman_filter():
     from scipy.linalg import solve_discrete_are
 
@@ -97,6 +99,7 @@ def test_process_noise_makes_a_predictor_with_the_gain_of_the_kalman_filter():
     assert np.std(error) == pytest.approx(np.sqrt(innovation[0, 0]), rel=0.02)
 
 
+@pytest.mark.rest
 def test_it_is_compared_with_other_models_and_starts_a_physical_one():
     record, _ = make_record("rod", noise=0.02)
     other, _ = make_record("rod", noise=0.02, seed=5)

@@ -49,6 +49,7 @@ def test_a_resonance_three_times_too_low_is_found():
     assert result.parameters["K"].value == pytest.approx(TRUE.parameter("K").value, rel=5e-3)
 
 
+@pytest.mark.rest
 def test_intervals_hold_the_truth_as_often_as_they_say():
     inside, widths = [], []
     for seed in range(40):
@@ -139,6 +140,7 @@ def test_a_signal_that_the_model_does_not_have_is_refused():
         fit_frequency_response(TRUE, FrequencyResponse([1.0], np.ones((1, 1, 1)), ("u",), ("z",)))
 
 
+@pytest.mark.rest
 def test_a_resonance_curve_without_phase_is_a_measurement(tmp_path):
     exact = exact_response(BAND)[0]
     rng = np.random.default_rng(5)

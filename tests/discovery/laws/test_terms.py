@@ -52,6 +52,7 @@ def test_products_and_functions_are_there_and_the_simplest_come_first(terms):
     assert any(t.has_memory for t in terms)
 
 
+@pytest.mark.rest
 def test_no_two_terms_are_equal_up_to_algebra(terms):
     static = [t for t in terms if not t.has_memory and t.complexity <= 5]
     names = {n: sympy.Symbol(n, real=True) for n in (*VALUES, "k", "c")}

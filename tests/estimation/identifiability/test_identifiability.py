@@ -74,6 +74,7 @@ def test_known_ranks(model: Model, outputs: list[str] | None, rank: int, count: 
     assert found.complete == (rank == count)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_other_random_points_say_the_same(seed: int) -> None:
     assert analyse_structural_identifiability(micro_actuator, ["x"], seed).rank == 4
@@ -125,6 +126,7 @@ def test_each_constant_that_is_proposed_closes_the_gap(name: str) -> None:
     assert analyse_structural_identifiability(micro_actuator.fix(name)).complete
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("model", "outputs"),
     [(micro_actuator, ["x"]), (pneumatic_cylinder.free(*CHAIN), ["s"]), (cascaded_tanks.free("k2"), ["y"])],
@@ -217,6 +219,7 @@ def test_a_constant_without_influence_is_named() -> None:
     assert found.determined == ("c",)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("name", "count"), [("bouc_wen_hysteresis", 5), ("input_saturation", 3), ("coulomb_friction", 3), ("backlash", 3)]
 )
@@ -431,6 +434,7 @@ def actuator_record(rows):
 ACTUATOR_NOISE = {"x": 2e-7, "i": 5e-3}
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("capacity", "at_rest"), [(3600.0, False), (50.0, False), (50.0, True)])
 def test_a_curve_over_a_state_that_moves_slowly_is_seen_where_the_state_goes(capacity, at_rest):
     """The open-circuit voltage of a cell at six charges: a record that moves the charge by a percent shows two of them."""

@@ -127,6 +127,7 @@ def test_a_missing_lag_is_no_answer_to_the_same_row():
     assert by_kind[Kind.INPUT_INDEPENDENCE].alarm and not by_kind[Kind.SAME_ROW].alarm
 
 
+@pytest.mark.rest
 def test_false_alarms_on_white_noise_are_one_in_a_hundred():
     rng = np.random.default_rng(5)
     alarms = {}
@@ -145,6 +146,7 @@ def test_false_alarms_on_white_noise_are_one_in_a_hundred():
     assert 0.006 < np.mean(list(rates.values())) < 0.016, rates
 
 
+@pytest.mark.rest
 def test_the_right_model_raises_few_alarms_whatever_the_colour():
     kinds = [kind for kind in Kind if kind is not Kind.WHITENESS]
     assert any(kind is Kind.SAME_ROW for kind in kinds)
@@ -202,6 +204,7 @@ def test_known_colour_is_whitened_before_the_tests():
     assert not found.of("x", Kind.WHITENESS, lags=5).alarm
 
 
+@pytest.mark.rest
 def test_predictions_beat_the_free_run_by_what_the_colour_allows():
     found = fit(TRUTH, record(1, 0.9, 20000))
     table = score(found, steps=(1, 5, 50))
@@ -212,6 +215,7 @@ def test_predictions_beat_the_free_run_by_what_the_colour_allows():
             assert rmse / outcome.rmse == pytest.approx(np.sqrt(1 - 0.81**ahead), rel=0.06)
 
 
+@pytest.mark.rest
 def test_scores_of_other_records_use_the_predictor_of_the_fit():
     found = fit(TRUTH, record(1, 0.9))
     other = score(found, record(2, 0.9), steps=(1,), skip=50).outputs["x"]

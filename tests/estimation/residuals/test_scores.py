@@ -32,6 +32,7 @@ BLACK = {
 }
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("kind", [*GREY, *BLACK])
 def test_every_kind_has_both_scores(kind):
     data, other = (record(s, rows=200, intensity=INTENSITY) for s in (1, 2))
@@ -91,6 +92,7 @@ def test_runs_that_overflow_have_no_score_of_their_first_rows(values, rms):
     assert outcome.rmse == pytest.approx(rms)
 
 
+@pytest.mark.rest
 def test_predictions_keep_the_substeps_of_the_fit():
     """A stiff fit that converged with many substeps is not predicted with a few."""
     data = record(1, rows=100, intensity=INTENSITY)

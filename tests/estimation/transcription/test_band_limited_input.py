@@ -122,6 +122,7 @@ def silverbox_error(folder, hold):
     return np.sqrt(np.mean(found.fun[50:] ** 2))
 
 
+@pytest.mark.rest
 def test_silverbox_is_band_limited(shared_data):
     """Cubic and quadratic stiffness and an offset: 0.9 mV with straight lines, 0.3 mV with the band-limited input."""
     assert silverbox_error(shared_data, "first") == pytest.approx(0.9, abs=0.05)

@@ -208,6 +208,7 @@ def test_an_unstable_plant_is_fitted_by_multiple_shooting_where_single_shooting_
     assert np.all(np.abs(away) < 3 * std) and std.max() < 0.05
 
 
+@pytest.mark.rest
 def test_a_chaotic_record_is_fitted_by_multiple_shooting_where_single_shooting_fails():
     truth = oscillator("wells", 0.15, -1.0, 1.0, 1.0)
     t = np.arange(1200) * 0.05
@@ -266,6 +267,7 @@ def stiff(line):
     )
 
 
+@pytest.mark.rest
 def test_a_stiff_plant_gets_implicit_steps_or_collocation_and_is_fitted_by_radau_points():
     """Sampled every 50 ms: RK4 would need thousands of steps a sample. Steps of one length take few states, steps
     that follow the error more, Radau points any number."""

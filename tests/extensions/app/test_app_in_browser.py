@@ -365,6 +365,7 @@ def test_no_text_of_a_session_becomes_markup(tab, served, rig: Path, page, text:
     assert shown > 100 and not faults
 
 
+@pytest.mark.rest
 def test_why_a_file_is_refused_is_shown_as_text(page, tmp_path: Path) -> None:
     file = tmp_path / '<img src=x onerror="window.hurt=1">.csv'
     file.write_text("time,<img src=x onerror=window.hurt=2>\n0,1\n", encoding="utf-8")

@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.rest
+
 pytest.importorskip("tornado", reason="the app's server is not installed")
 
 # Python drops what a signal's handler raises while an object is deleted; the command's handler raises, as this one does.

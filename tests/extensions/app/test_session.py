@@ -148,6 +148,7 @@ def test_the_residual_is_located_where_the_friction_is_missing(bench: Workbench)
     assert location.is_missing and "balance force" in location.likeliest
 
 
+@pytest.mark.rest
 def test_a_fit_gives_the_rig_s_constants_and_its_exports_repeat_it(
     bench: Workbench, tmp_path: Path, monkeypatch
 ) -> None:
@@ -174,6 +175,7 @@ def test_a_fit_gives_the_rig_s_constants_and_its_exports_repeat_it(
     assert {n: p["value"] for n, p in again["parameters"].items()} == {n: e.value for n, e in fit.parameters.items()}
 
 
+@pytest.mark.rest
 def test_a_stopped_discovery_changes_nothing_and_keeps_its_refits(bench: Workbench, tmp_path: Path) -> None:
     news: list[str] = []
     journal = tmp_path / "out" / "journal.jsonl"
@@ -218,6 +220,7 @@ def test_a_fit_that_is_stopped_keeps_its_best_point(bench: Workbench) -> None:
     assert fit.status == "interrupted" and fit.parameters["B"].value > 0 and told[0][0] == "progress"
 
 
+@pytest.mark.rest
 def test_what_goes_wrong_in_a_computation_is_told_and_the_next_one_can_begin(bench: Workbench) -> None:
     told: list[dict] = []
     bench.listener = told.append
@@ -254,6 +257,7 @@ def test_a_model_that_its_effects_do_not_name_goes_with_its_study(bench: Workben
     assert again.values == bench.session.model.values
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("options", [{"process_noise": {"v": None}}, {"loss": "huber"}, {"priors": {"B": (2.0, 0.1)}}])
 def test_studies_of_other_kinds_are_shown_and_repeated_too(rig: Path, tmp_path: Path, options: dict) -> None:
     study = Study(model=str(rig / "carriage.py"), noise=NOISE, **options)
@@ -268,6 +272,7 @@ def test_studies_of_other_kinds_are_shown_and_repeated_too(rig: Path, tmp_path: 
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.rest
 def test_a_run_that_overflows_is_shown_as_such(bench: Workbench) -> None:
     law = gb.effects.formula_effect(
         "own_law", "force", "k*v**3", [Parameter("k", "N*s**3/m**3", -0.1)], amplitude="k", source="a test"
@@ -281,6 +286,7 @@ def test_a_run_that_overflows_is_shown_as_such(bench: Workbench) -> None:
     bench.add_effect("coulomb_friction")
 
 
+@pytest.mark.rest
 def test_a_discovery_is_repeated_from_the_model_that_it_began_with(bench: Workbench) -> None:
     fit = gb.fit(bench.session.model + gb.effect("coulomb_friction"), bench.session.estimation, noise=NOISE)
     plain = bench.session.model.start(B=2.5)

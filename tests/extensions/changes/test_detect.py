@@ -67,6 +67,7 @@ def test_records_that_hardly_move_the_machine_cannot_tell(reference) -> None:
     assert {f.subject for f in change.findings if f.code == ChangeCode.CONSTANT_NOT_SEEN} >= {"d", "b"}
 
 
+@pytest.mark.rest
 def test_an_effect_that_has_appeared_is_found(reference) -> None:
     plant = silverbox + effect("cubic_stiffness")
     (name,) = (n for n in plant.values if n not in silverbox.values)
@@ -121,6 +122,7 @@ def stiffening(seed: int, input_seed: int, **values: float) -> gb.Experiment:
     return run.record(NOISE, np.random.default_rng(seed))
 
 
+@pytest.mark.rest
 def test_under_the_same_input_what_the_model_lacks_cancels() -> None:
     reference = gb.fit(silverbox, stiffening(1, 9), noise=NOISE)
     assert reference.misfit["y"].noise_ratio > 4
@@ -132,6 +134,7 @@ def test_under_the_same_input_what_the_model_lacks_cancels() -> None:
     assert 0 < low < 45.0 - silverbox.values["d"] < high < 4.0
 
 
+@pytest.mark.rest
 def test_under_another_input_such_a_model_cannot_tell_a_change_but_a_large_one() -> None:
     reference = gb.fit(silverbox, stiffening(1, 9), noise=NOISE)
     for seed in range(10, 13):

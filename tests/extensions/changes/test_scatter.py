@@ -103,6 +103,7 @@ def test_a_run_that_covers_less_than_half_of_the_other_is_no_repeat() -> None:
     assert not is_alike(one, one.window(0, one.rows // 2 - 1))
 
 
+@pytest.mark.rest
 def test_a_coast_down_that_ends_earlier_is_compared_and_a_change_is_named() -> None:
     reference = gb.fit(coasting(), coast(1), options=QUICK)
     healthy = gb.detect_changes(reference, coast(2), search_effects=False)
@@ -216,6 +217,7 @@ def test_a_constant_is_known_no_better_than_with_others_off_their_bounds() -> No
     assert np.sqrt(read.variances[read.index("ac")]) == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.rest
 def test_a_curvature_at_its_bound_in_one_of_two_fits_moves_no_other_constant() -> None:
     # The same line both times: noise alone takes the small curvature to its bound in some records and off it in others.
     fits = [line_fit(0.01, seed)[1] for seed in range(8)]

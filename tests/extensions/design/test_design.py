@@ -76,6 +76,7 @@ def test_it_brings_more_than_every_other_kind_of_input(plan) -> None:
     assert twice == pytest.approx(np.sqrt(2), rel=0.02)
 
 
+@pytest.mark.rest
 def test_the_predicted_width_is_that_of_simulated_experiments(plan) -> None:
     """Twenty simulated experiments, each fitted: the spread of the estimates is the predicted one within its own error."""
     names, estimates = list(plan.predicted), []
@@ -234,6 +235,7 @@ def test_its_files_are_as_the_schema_says_and_can_be_played(plan, tmp_path) -> N
     assert "The next record of rig" in page and "Twice as much means" in page
 
 
+@pytest.mark.rest
 def test_the_same_question_has_the_same_answer() -> None:
     one, other = (gb.design(PLANT, limits={"u": (-1, 1)}, **ASKED) for _ in range(2))
     np.testing.assert_array_equal(one.experiment.inputs["u"], other.experiment.inputs["u"])

@@ -46,6 +46,7 @@ def test_the_sampling_times_of_rooney_and_biegler() -> None:
     assert chosen.times == pytest.approx((time[early], time[late]), rel=0.02)
 
 
+@pytest.mark.rest
 def test_a_quadratic_is_sampled_at_its_ends_and_its_middle() -> None:
     """Fedorov's first example: D-optimal weights of a polynomial of second degree on [-1, 1]."""
     x = np.linspace(-1, 1, 201)

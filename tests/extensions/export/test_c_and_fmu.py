@@ -177,6 +177,7 @@ def test_c_is_the_library_step_for_every_effect(tmp_path, base, entry):
     compare(found, run)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("base", "names"), TOGETHER)
 def test_c_is_the_library_step_for_effects_together(tmp_path, base, names):
     model = base

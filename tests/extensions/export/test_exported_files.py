@@ -135,6 +135,7 @@ def test_a_python_file_keeps_catalogue_effects_by_name(tmp_path):
     same_run(model, back)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("base", [micro_actuator, pneumatic_cylinder], ids=lambda m: m.name)
 def test_a_python_file_writes_other_effects_out(tmp_path, base):
     others = {entry.name for entry in applicable_effects(micro_actuator)} if base is pneumatic_cylinder else set()
@@ -237,6 +238,7 @@ def modelica_rates(model, folder, monkeypatch):
     return rates
 
 
+@pytest.mark.rest
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize(
     "name",

@@ -205,6 +205,7 @@ def steady():
     return gb.linearise(pneumatic_full, {"v": 0.1})
 
 
+@pytest.mark.rest
 def test_a_valve_that_is_shut_at_first_is_opened_until_the_speed_is_there(steady):
     at = dict(zip(steady.state_names, range(4), strict=True))
     assert steady.x0[at["v"]] == 0.1
@@ -371,6 +372,7 @@ def test_the_sampled_nonlinear_system_runs_as_simulate_does():
     assert "delay" not in system.params and system.params["Fc"] == 0.05
 
 
+@pytest.mark.rest
 def test_two_masses_on_one_shaft_turn_steadily():
     motor = gb.Model(
         "motor",

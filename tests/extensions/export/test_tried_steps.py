@@ -9,6 +9,8 @@ from greybox.estimation.linear.exported_model import to_plant
 from greybox.extensions.export.discrete_step import make_discrete_step
 from tests.estimation.test_prediction_steps import QUENCH, VALVE
 
+pytestmark = pytest.mark.rest
+
 
 @pytest.mark.parametrize("model", [VALVE, QUENCH, VALVE.start(k=0.3)])
 def test_a_step_that_runs_away_is_refused(model, tmp_path):

@@ -76,6 +76,7 @@ def values(fleet: gb.fleet.FleetResult) -> list[dict[str, float]]:
     return [{name: e.value for name, e in r.parameters.items()} for r in fleet.records]
 
 
+@pytest.mark.rest
 def test_a_row_is_what_fit_gives_for_the_record_alone(parquet: Path) -> None:
     found = gb.fleet.find_records(parquet, record="serial")
     fleet = gb.fit_each(MODEL, found, noise={"y": NOISE}, workers=1)
@@ -138,6 +139,7 @@ def test_bad_records_are_named_with_their_reasons_and_the_others_are_done(tmp_pa
     assert fleet.population["gain"].count == 7
 
 
+@pytest.mark.rest
 def test_an_interrupted_run_goes_on_from_its_journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, journal = tmp_path / "bench", tmp_path / "fleet.jsonl"
     folder.mkdir()
@@ -320,6 +322,7 @@ class ProcessEnds(BaseException):
     """What nothing catches, as a process that is killed leaves nothing behind."""
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("place", [0, 3, 6], ids=["the first", "among the first five", "in a small fleet"])
 def test_a_record_that_ended_the_process_is_tried_apart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: int

@@ -153,6 +153,7 @@ def actuator_record(seed=0, rows=600):
     return gb.simulate(micro_actuator, {"time": time, "u": u}).record({"x": 1e-7, "i": 1e-3}, rng)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("factors", [(2, 0.8, 1.2), (0.5, 1.2, 0.8), (3, 0.6, 1.4)])
 def test_our_own_export_gives_its_constants_back_in_fifty_simulations(exported, factors):
     plant, true = read_fmu(exported), micro_actuator.values
@@ -194,6 +195,7 @@ def test_a_run_that_fails_does_not_end_the_fit(build, kind):
         assert (simulator.runs, simulator.failures) == (2, 1)
 
 
+@pytest.mark.rest
 def test_a_start_that_does_not_run_is_said(build):
     plant = read_fmu(build(VAN_DER_POL, "2.0", "CoSimulation"))
     record = Experiment("r", TIME, {}, {"x0": van_der_pol(1.0)[0]})

@@ -58,6 +58,7 @@ def test_inputs_act_as_they_are_held(tmp_path, version, hold):
     np.testing.assert_allclose(slopes[:, 0, 0], expected, atol=1e-3 * np.abs(expected).max())
 
 
+@pytest.mark.rest
 def test_a_fit_uses_them_and_finds_the_same(tmp_path):
     record = Experiment(
         "r", TIME, {}, {"x0": van_der_pol_slopes(1.4)[0] + 0.02 * np.random.default_rng(0).standard_normal(200)}

@@ -249,6 +249,7 @@ def test_each_rig_is_offered_what_it_can_hide(model, names):
     assert [name for name in found if name in NAMES] == [name for name in NAMES if name in found]
 
 
+@pytest.mark.rest
 def test_all_candidates_of_a_model_fit_it():
     for model in (emps, silverbox, cascaded_tanks):
         expected = sorted([*model.candidates, *reversed_signals(model)])
@@ -258,6 +259,7 @@ def test_all_candidates_of_a_model_fit_it():
     assert "winding_heating" not in {entry.name for entry in applicable_effects(micro_actuator_no_inductance)}
 
 
+@pytest.mark.rest
 def test_without_a_list_sites_roles_and_terms_decide():
     found = {entry.name for entry in applicable_effects(pneumatic_full)}
     assert {"coulomb_friction", "valve_lag", "valve_dead_zone", "chamber_leakage"} <= found

@@ -155,6 +155,7 @@ def test_a_circuit_behaves_as_by_small_steps(name: str) -> None:
     assert np.abs(plain.outputs["i"] - expected[:, 1]).max() > 0.02 * np.ptp(expected[:, 1])
 
 
+@pytest.mark.rest
 def test_each_effect_finds_the_plants_that_have_its_place() -> None:
     @cache
     def placed(name: str) -> set[str]:

@@ -40,6 +40,7 @@ def test_force_and_back_emf_droop_together(role: str, emf: float) -> None:
     assert rates == pytest.approx([v, (5.0 * left * i - 1500 * x) / 0.01, (U - 6 * i - emf * left * v) / 5e-4])
 
 
+@pytest.mark.rest
 def test_an_input_without_a_role_drives_the_coil() -> None:
     lacking = {p.name: p.missing for p in find_placements(speaker(), CATALOGUE) if p.effect is None}
     assert "winding_heating" not in lacking and "force_constant_droop" not in lacking

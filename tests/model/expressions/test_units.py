@@ -91,6 +91,7 @@ def test_a_vector_is_no_term() -> None:
         unit_of(ca.vertcat(x, y), UNITS)
 
 
+@pytest.mark.rest
 def test_deep_expressions_need_no_recursion() -> None:
     deep = x
     for _ in range(5000):

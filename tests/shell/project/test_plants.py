@@ -51,6 +51,7 @@ def run(*words: str) -> str:
     return done.output
 
 
+@pytest.mark.rest
 def test_the_twin_hides_an_effect_from_the_model(plant: str) -> None:
     shorten_records(1500)
     runpy.run_path("twin.py")

@@ -86,6 +86,7 @@ def pages(tmp_path_factory) -> dict[str, Document]:
     return {kind: describe_page(value, command="greybox", **more) for kind, (value, more) in values.items()}
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_text_of_a_page_runs_or_becomes_markup(tab, pages, tmp_path, kind):
     count = itertools.count()

@@ -112,6 +112,7 @@ def test_dark_and_light_follow_the_reader_and_the_button_on_a_phone_too(tab, rep
     tab.set_viewport_size({"width": 1280, "height": 720})
 
 
+@pytest.mark.rest
 def test_every_kind_of_page_opens_and_is_drawn(tab, good_fit, tmp_path):
     """Nothing in the console, nothing fetched, every figure drawn; one page after the other."""
     t = 5e-4 * np.arange(400)

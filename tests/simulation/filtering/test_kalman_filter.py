@@ -113,6 +113,7 @@ def test_slopes_of_the_likelihood_are_finite_differences(kind):
     check_slopes(kalman, rows, pn, START)
 
 
+@pytest.mark.rest
 def test_runge_kutta_meets_the_exact_filter():
     """The extended filter on a linear model is the exact one, to the fourth order of its step."""
     data = record("held", rows=300)
@@ -245,6 +246,7 @@ def test_the_filter_of_every_kind_of_step_follows_its_record_and_has_exact_slope
     assert ahead == pytest.approx(expected, rel=1e-7, abs=1e-12)
 
 
+@pytest.mark.rest
 def test_a_large_plant_can_be_filtered():
     model = pneumatic_full.with_process_noise(v=0.05)
     rng = np.random.default_rng(4)

@@ -175,6 +175,7 @@ def test_an_output_that_shows_the_input_shows_the_delayed_one():
     assert np.allclose(line, np.interp(np.arange(ROWS) - 1.7, np.arange(ROWS), INPUT))
 
 
+@pytest.mark.rest
 def test_a_delay_goes_together_with_dry_friction_and_other_changes_of_the_input():
     """What acts on the input acts on the delayed one; the delayed record given as such is the same thing."""
     plain = micro_actuator + effect("input_offset") + stribeck(0.05, 0.08, 0.02)

@@ -198,6 +198,7 @@ def moreau(model_values, x0, u, h, fine):
     return np.array(path)
 
 
+@pytest.mark.rest
 def test_sticking_and_sliding_agree_with_moreaus_time_stepping():
     rng = np.random.default_rng(1)
     u = np.repeat(rng.normal(0, 8, 40), 10)
@@ -262,6 +263,7 @@ def moreau_of_two(masses, k, levels, u, h, fine):
     return np.array(path)
 
 
+@pytest.mark.rest
 def test_two_bodies_stick_and_slide_each_for_itself():
     rng = np.random.default_rng(2)
     u = np.repeat(rng.normal(0, 9, 16), 10)

@@ -88,6 +88,7 @@ def everything():
     return oscillator() + bouc_wen() + stribeck(1.0, 2.0, 0.1) + play(0.01) + delay(0.2, 0.07)
 
 
+@pytest.mark.rest
 def test_delay_dry_friction_relaxing_states_and_play_work_together():
     model = everything()
     p = values(model)
@@ -107,6 +108,7 @@ def test_delay_dry_friction_relaxing_states_and_play_work_together():
     assert np.mean(np.diff(found[-1][:, 3]) == 0.0) > 0.01  # the play is crossed
 
 
+@pytest.mark.rest
 def test_both_kernels_run_everything_alike():
     model = everything()
     step, p = discretise(model.system, values(model), np.zeros((1, 4)), np.array([0.05]), substeps=4), values(model)

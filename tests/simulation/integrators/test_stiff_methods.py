@@ -93,6 +93,7 @@ def test_relaxing_states_converge_with_order_two(start, lowest):
     assert errors[-1] < 5e-5
 
 
+@pytest.mark.rest
 def test_a_fast_lag_is_exact_for_an_input_that_is_linear_between_rows():
     """With T = h / 100 the current is the exact answer to a ramp, and the mechanics keep their accuracy."""
     model = coil(1e-4)
@@ -114,6 +115,7 @@ def bristles():
     return u, x0, solved(model, u, 0.01, x0, 1e-8, np.array([1e-11, 1e-9, 1e-5, 1e-5, 1e-13]))
 
 
+@pytest.mark.rest
 def test_lugre_at_its_true_constants_needs_few_substeps(bristles):
     u, x0, exact = bristles
     model = pneumatic_cylinder + lugre()
@@ -130,6 +132,7 @@ def test_lugre_at_its_true_constants_needs_few_substeps(bristles):
     )
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_slopes_of_lugre_are_those_of_finite_differences(bristles, kernel):
     u, x0, _ = bristles
@@ -338,6 +341,7 @@ def test_static_friction_above_sliding_breaks_away_within_a_step():
         assert np.allclose(found[2:, 1], expected[2:], rtol=1e-7)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("method", [rk4, midpoint, radau])
 def test_bristles_and_dry_friction_together_stay_finite(method):
     """A dry guide beside a bristle seal: the exponential runs inside each piece of the cut step."""

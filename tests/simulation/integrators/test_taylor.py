@@ -51,6 +51,7 @@ def test_the_run_is_that_of_scipys_matrices(hold, first_order):
     np.testing.assert_allclose(x, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("bodies", [8, 25])
 def test_cost_gradient_and_matrix_are_those_of_the_matrices(bodies):
     model = make_chain(bodies)
@@ -113,6 +114,7 @@ def test_the_series_is_taken_where_a_search_takes_less_time(model, rows, h, take
     assert step.label.startswith(taken)
 
 
+@pytest.mark.rest
 def test_a_fit_ends_at_the_same_constants_with_the_same_intervals():
     trial = make_trial(12, 6000)
     by_series = trial.fit()

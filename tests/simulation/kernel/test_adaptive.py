@@ -163,6 +163,7 @@ def test_the_method_has_order_four_and_its_companion_order_three():
     assert growth[1] < 0.02 * growth[0] < 1e-3 and growth[2] < 0.02 * growth[1]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("name", CASES)
 def test_states_are_those_of_scipy(name):
     kernel, record, p, x0 = run(name)
@@ -220,6 +221,7 @@ def test_tangents_are_the_slopes_of_the_run(name):
         assert usual[:, :, k] == pytest.approx(slope, abs=5e-4 * np.abs(slope).max())
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("name", CASES)
 def test_without_a_compiler_the_numbers_are_the_same(name):
     model = case(name)[0]

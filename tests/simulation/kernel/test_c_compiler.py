@@ -165,6 +165,7 @@ def test_a_library_that_was_not_made_of_its_whole_text_is_refused_and_not_kept(t
         assert compiling.load_library(lambda: source, "a text").answer() == 42
 
 
+@pytest.mark.rest
 def test_two_processes_may_compile_the_same_kernel_at_once(tmp_path):
     context = multiprocessing.get_context("spawn")
     barrier, answers = context.Barrier(2), context.Queue()
@@ -487,6 +488,7 @@ def test_a_compiler_may_take_so_much_memory_and_no_more():
     assert "MemoryError" in outcomes[1].stderr
 
 
+@pytest.mark.rest
 @pytest.mark.skipif(sys.platform == "win32", reason="a group of processes of POSIX")
 @pytest.mark.parametrize("ending", ["os._exit(0)", "sys.exit(0)", "os.kill(os.getpid(), 9)"])
 def test_a_compiler_ends_with_the_process_that_has_asked(tmp_path, ending):

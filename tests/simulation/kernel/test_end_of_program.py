@@ -62,6 +62,7 @@ def run_program(end: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=150)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("end", "status", "last"),
     [
@@ -79,6 +80,7 @@ def test_a_larger_model_ends_with_its_status_and_all_its_output(
     assert done.stdout.startswith("fitted 0 converged\n")
 
 
+@pytest.mark.rest
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="a system without fork")
 @pytest.mark.parametrize(
     "case",

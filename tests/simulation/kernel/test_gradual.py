@@ -137,6 +137,7 @@ def test_a_structure_earns_first_quick_code_and_then_a_full_library(monkeypatch,
     assert list(again._functions)
 
 
+@pytest.mark.rest
 @pytest.mark.skipif(not has_llvm(), reason="without llvmlite")
 def test_translated_routines_that_nobody_uses_any_more_are_forgotten(monkeypatch):
     monkeypatch.setattr(gradual, "find_library", lambda *_: None)
