@@ -52,6 +52,12 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """A test that opens a browser is none of the everyday ones."""
+    if "browser" in getattr(item, "fixturenames", ()):
+        item.add_marker(pytest.mark.rest)
+
+
 # Processor time, in s, that an everyday test may take: of its own thread, so that a busy machine and a compiler at work do not count.
 EVERYDAY_SECONDS = 2.0
 

@@ -12,6 +12,8 @@ from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.blackbox.prediction_error import PredictionErrorPolicy
 from greybox.comparison.result import ComparisonFinding, ComparisonPolicy
 
+pytestmark = pytest.mark.rest
+
 ATMOSPHERE, STEP, NOISE = 101325.0, 0.02, 150.0
 FEW = PredictionErrorPolicy(starts=2, first_iterations=3, iterations=20)
 SMALL = ComparisonPolicy(
@@ -105,7 +107,6 @@ def test_an_output_error_behind_an_integrator_is_that_of_a_plain_search():
     assert found.poles.real == pytest.approx([1.0, expected.x[0]], abs=1e-4) and found.stable
 
 
-@pytest.mark.rest
 def test_the_servo_drive_is_at_the_published_linear_error(shared_data):
     from models.emps import emps
 

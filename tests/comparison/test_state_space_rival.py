@@ -15,6 +15,8 @@ from greybox.comparison.result import Comparison, ComparisonFinding, ComparisonP
 from greybox.data.experiment import Experiment
 from tests.support.result_schema import strict_offences
 
+pytestmark = pytest.mark.rest
+
 # What the rivals of one output reach matters little here: few poles, one start, few steps.
 FEW = PredictionErrorPolicy(starts=1, first_iterations=2, iterations=5)
 SMALL = ComparisonPolicy(
@@ -56,7 +58,6 @@ def compared():
     return gb.compare({m.name: m.model for m in models}, other, training=record), rival, findings, spread
 
 
-@pytest.mark.rest
 def test_a_state_space_model_of_all_outputs_is_a_rival_with_the_order_of_the_plant(compared):
     comparison, rival, findings, spread = compared
     assert [box.output for box in rival.model] == ["y1", "y2"]
@@ -69,20 +70,19 @@ def test_a_state_space_model_of_all_outputs_is_a_rival_with_the_order_of_the_pla
         assert comparison["subspace"].validation[name].rmse < 0.5 * comparison["arx"].validation[name].rmse
 
 
+@pytest.mark.rest
 def test_its_entry_is_in_the_file(compared, tmp_path):
     data = json.loads(save_comparison(compared[0], tmp_path / "compare.json").read_text())
     assert strict_offences(data, Comparison) == []
     assert "subspace" in data["models"]
 
 
-@pytest.mark.rest
 def test_one_input_and_output_have_none():
     record, _ = coupled_masses(0, rows=300)
     models, _ = fit_black_boxes([record], ["y1"], ["F1"], policy=SMALL)
     assert "subspace" not in {m.name for m in models}
 
 
-@pytest.mark.rest
 def test_a_record_too_short_for_it_is_a_note():
     record, _ = coupled_masses(0, rows=60)
     models, findings = fit_black_boxes([record], ["y1", "y2"], ["F1", "F2"], policy=SMALL)

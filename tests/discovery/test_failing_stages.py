@@ -16,6 +16,8 @@ from tests.discovery.test_selection import select
 from tests.support.fake_candidates import FakeProblem, costs, toy_effect
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
 
+pytestmark = pytest.mark.rest
+
 NOISE = {"x": 2e-7, "i": 5e-3}
 
 
@@ -42,7 +44,6 @@ def fail(*_, **__):
     raise FitError("on purpose")
 
 
-@pytest.mark.rest
 @pytest.mark.parametrize(
     ("place", "stage"),
     [
@@ -72,7 +73,6 @@ def test_what_comes_after_an_unknown_effect_may_fail_as_well(rig, monkeypatch):
     assert {failure.stage for failure in found.failures} >= {SearchStage.REFINEMENT, SearchStage.SURROGATE}
 
 
-@pytest.mark.rest
 def test_an_effect_that_cannot_be_written_out_is_out_with_its_reason(rig):
     broken = Effect(
         "broken",

@@ -22,6 +22,8 @@ from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import ACTUATOR, AT_REST, plain_model, simulate_records
 from tests.support.result_schema import strict_offences
 
+pytestmark = pytest.mark.rest
+
 NOISE = {"x": 2e-7, "i": 5e-3}
 
 
@@ -60,7 +62,6 @@ def written(rig, tmp_path_factory):
     return folder
 
 
-@pytest.mark.rest
 def test_the_command_writes_answer_model_figures_and_journal(written):
     answer = json.loads((written / "discovery.json").read_text())
     assert answer["verdict"] == "named"
@@ -76,6 +77,7 @@ def test_the_command_writes_answer_model_figures_and_journal(written):
             assert (written / f"{name}.{kind}").stat().st_size > 2000
 
 
+@pytest.mark.rest
 def test_the_model_that_was_written_is_one_that_greybox_fits(written, rig):
     model = find_model(str(written / "model.py"))
     assert [e.name for e in model.effects] == ["coulomb_friction"]
@@ -84,7 +86,6 @@ def test_the_model_that_was_written_is_one_that_greybox_fits(written, rig):
     assert fit.misfit["x"].noise_ratio < 1.1
 
 
-@pytest.mark.rest
 def test_a_search_goes_on_where_it_was_interrupted(rig, written, tmp_path, monkeypatch):
     """It ends with the constants of the search that the command ran from beginning to end, in the same records."""
     effects = [gb.effect(n) for n in ("coulomb_friction", "cubic_stiffness")]
@@ -145,7 +146,6 @@ def test_refits_in_other_processes_give_the_same(rig):
     assert [r.misfit for r in here.ranking] == pytest.approx([r.misfit for r in there.ranking], rel=1e-6)
 
 
-@pytest.mark.rest
 def test_what_is_outside_the_catalogue_gets_a_curve(rig):
     found = discover(
         plain_model(micro_actuator),

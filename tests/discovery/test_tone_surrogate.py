@@ -66,6 +66,7 @@ def test_a_hum_is_a_tone_at_its_site_and_explains_the_gap(found):
     assert tone.values["tone"]["alike"] == ["sensor of x"]
 
 
+@pytest.mark.rest
 def test_the_mains_are_suspected(found):
     codes = [step.code for step in found.next_steps]
     assert codes[-2:] == [DiscoveryCode.SUSPECT_MAINS, DiscoveryCode.USE_TONE_MODEL]

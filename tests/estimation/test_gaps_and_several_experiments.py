@@ -72,6 +72,7 @@ def test_gaps_and_irregular_time_are_the_same_to_it(path):
     assert one.misfit["x"].samples == other.misfit["x"].samples == np.isfinite(with_gaps(data).outputs["x"]).sum()
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("path", ["free run", "known process noise", "huber"])
 def test_constants_of_each_experiment_are_those_of_a_fit_of_it_alone(path):
     model, special, told = PATHS[path]
@@ -85,6 +86,7 @@ def test_constants_of_each_experiment_are_those_of_a_fit_of_it_alone(path):
             assert mine.std == pytest.approx(alone.parameters[name].std, rel=0.1)
 
 
+@pytest.mark.rest
 @every_path
 def test_profile_and_bootstrap_meet_the_interval(path):
     found = found_on(path)

@@ -322,6 +322,7 @@ def test_a_record_that_was_not_fitted_validates(case):
         )
 
 
+@pytest.mark.rest
 def test_several_starts_end_at_one_optimum(case):
     if predicts(case):
         with pytest.raises(ModelError, match="do not determine process noise"):

@@ -44,6 +44,7 @@ def test_with_the_gain_free_the_weighed_values_lie_inside_their_intervals(too_la
     assert not [f for f in found.findings if f.code in (EstimationCode.PRIOR_CONFLICT, EstimationCode.PRIORS_OFF_ALIKE)]
 
 
+@pytest.mark.rest
 def test_a_clock_that_is_off_shows_where_the_constants_are_known():
     found = gb.fit(WITH_FRICTION.fix("J", "mgl") + gb.effect("clock_skew"), swung(skew=0.04), noise=NOISE)
     skew = found.parameters["e"]

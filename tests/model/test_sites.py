@@ -70,6 +70,7 @@ def test_a_spring_at_a_body_sees_the_displacement_of_that_body():
     )
 
 
+@pytest.mark.rest
 def test_every_input_and_every_output_takes_effects():
     every = {"input_offset", "input_offset_at_L", "gain_by_sign_at_L", "input_dead_zone", "input_dead_zone_at_L"}
     assert every | {"sensor_lag", "sensor_lag_at_a2", "sensor_drift_at_a2", "transport_delay_at_L"} <= names(TWO_BODIES)

@@ -96,6 +96,7 @@ def test_a_setting_is_turned_by_somebody() -> None:
     assert idle_names({"a_" + "setting_of_nobody"})  # what nothing gives is seen
 
 
+@pytest.mark.rest
 def test_a_constant_says_what_it_is() -> None:
     """A comment stands above each number at module level, or above the group that it is in; or a docstring below."""
     bare = []

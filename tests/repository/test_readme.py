@@ -11,6 +11,8 @@ import pytest
 
 from tests.support.documented import ROOT, Run, blocks, run_page
 
+pytestmark = pytest.mark.rest
+
 README = ROOT / "README.md"
 
 
@@ -24,13 +26,13 @@ def run(folder: Path) -> Run:
     return run_page(README, folder)
 
 
-@pytest.mark.rest
 def test_every_command_and_line_of_code_runs_and_prints_what_is_shown(run: Run) -> None:
     assert not run.missing, "\n".join(run.missing)
     said = {command.split()[1] for command in run.commands}
     assert said == {"simulate", "models", "check", "fit", "discover", "export", "init"}
 
 
+@pytest.mark.rest
 def test_the_friction_that_the_model_was_not_told_about_is_named(run: Run, folder: Path) -> None:
     found = json.loads((folder / "results" / "micro_actuator-discover" / "discovery.json").read_text())
     assert found["verdict"] == "named"

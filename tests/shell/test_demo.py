@@ -34,6 +34,7 @@ def test_the_model_alone_misses_the_record_by_far(result: Demo) -> None:
     assert codes(result.plain.findings) & {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.MODEL_DOES_NOT_FOLLOW}
 
 
+@pytest.mark.rest
 def test_the_hidden_effect_is_named_and_closes_the_gap(result: Demo) -> None:
     assert result.discovery.verdict == "named"
     (effect,) = result.discovery.effects

@@ -34,6 +34,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "train.csv"
 
 
+@pytest.mark.rest
 def test_many_starts_print_and_save_where_each_ended(run: Run, data: Path, tmp_path: Path) -> None:
     result = run("fit", "micro_actuator", data, *KNOWN, "--starts", 4, "--seed", 3, "--output", "out")
     assert result.exit_code == 0, result.output

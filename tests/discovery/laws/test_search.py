@@ -16,6 +16,8 @@ from greybox.discovery import conclusion
 from greybox.discovery.claims import Depth
 from greybox.discovery.result import load_discovery
 
+pytestmark = pytest.mark.rest
+
 NOISE = 0.01
 
 
@@ -67,7 +69,6 @@ def found():
     )
 
 
-@pytest.mark.rest
 def test_the_missing_term_is_named_as_an_equation(found):
     assert found.verdict == "named" and found.alternatives == []
     (law,) = found.effects
@@ -78,6 +79,7 @@ def test_the_missing_term_is_named_as_an_equation(found):
     assert found.best.parameters["r"].value == pytest.approx(1.0, rel=0.02)
 
 
+@pytest.mark.rest
 def test_the_file_holds_equation_and_range(found, tmp_path):
     data = load_discovery(found.save(tmp_path / "discovery.json"))
     law = data["effects"][0]
@@ -97,7 +99,6 @@ def test_nothing_is_claimed_of_a_complete_model():
     assert answer.verdict == "complete" and answer.effects == [] and answer.laws == ()
 
 
-@pytest.mark.rest
 def test_a_law_that_takes_nothing_of_the_error_is_none(found, monkeypatch):
     """What counts is the error of the free run that is told."""
     finish = conclusion.finish_fit
@@ -119,7 +120,6 @@ def test_a_law_that_takes_nothing_of_the_error_is_none(found, monkeypatch):
     assert answer.holdout["a"].after == answer.holdout["a"].before
 
 
-@pytest.mark.rest
 def test_a_law_takes_the_error_of_a_plain_model_whose_run_goes_astray():
     """The brusselator without the reaction that ends it: its concentrations grow without end, and the law is the answer."""
     brusselator = next(system for system in SYSTEMS if system.name == "brusselator")
@@ -136,7 +136,6 @@ def test_the_equation_is_claimed_at_every_depth(found):
     assert law["probability"] == name.probability and law["share"] > 0.9
 
 
-@pytest.mark.rest
 def test_no_curve_takes_the_place_of_an_established_law(monkeypatch):
     asked = []
     monkeypatch.setattr(conclusion, "refit_curves_in_place", lambda *given: asked.append(given))
@@ -151,7 +150,6 @@ def test_no_curve_takes_the_place_of_an_established_law(monkeypatch):
     assert [law.formula for law in answer.laws] == ["k*a*b"] and not asked
 
 
-@pytest.mark.rest
 @pytest.mark.parametrize("name", ["spruce_budworm", "chemostat"])
 def test_constants_that_the_first_record_leaves_open_are_no_missing_law(name):
     """Two resting places, or slopes that multiply: a little in the constants is much on the other record."""

@@ -20,6 +20,8 @@ from tests.support.browser import collected_faults, wait_until
 from tests.support.hostile import ELEMENTS, MARKUP, RARER_MARKUP
 from tests.support.reliability import note_row
 
+pytestmark = pytest.mark.rest
+
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: no browser to look with")
 pytest.importorskip("tornado", reason="the app's server is not installed")
 PATIENCE = 150_000  # milliseconds: other tests may run beside this one
@@ -357,6 +359,7 @@ def show_poisoned(tab, address: str, text: str) -> tuple[int, list[str]]:
     return shown, faults
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("text", MARKUP[:3])
 def test_no_text_of_a_session_becomes_markup(tab, served, rig: Path, page, text: str) -> None:
     if not page.locator("#records li").count():
@@ -365,7 +368,6 @@ def test_no_text_of_a_session_becomes_markup(tab, served, rig: Path, page, text:
     assert shown > 100 and not faults
 
 
-@pytest.mark.rest
 def test_why_a_file_is_refused_is_shown_as_text(page, tmp_path: Path) -> None:
     file = tmp_path / '<img src=x onerror="window.hurt=1">.csv'
     file.write_text("time,<img src=x onerror=window.hurt=2>\n0,1\n", encoding="utf-8")

@@ -38,6 +38,8 @@ from greybox.shell.commands import app
 from greybox.show.describe import describe_page
 from tests.support.result_schema import strict_offences
 
+pytestmark = pytest.mark.rest
+
 # Seconds to wait for another process; a busy machine takes long to start one.
 PATIENCE = 60
 
@@ -97,7 +99,6 @@ def finished(tmp_path_factory):
     return run_campaign(PLAN, folder, rig=rig(), workers=1)
 
 
-@pytest.mark.rest
 def test_it_names_the_hidden_effect_within_the_limits(finished) -> None:
     assert finished.status is CampaignStatus.DONE and len(finished.steps) <= 3
     assert finished.steps[-1].effects == ("cubic_stiffness",) and not finished.steps[-1].alternatives
@@ -115,6 +116,7 @@ def test_it_names_the_hidden_effect_within_the_limits(finished) -> None:
     assert float(value.split()[0]) == pytest.approx(discovered["parameters"]["K3"]["value"], rel=1e-4)
 
 
+@pytest.mark.rest
 def test_what_it_writes_is_read_back_and_refitted_to_the_same_errors(finished) -> None:
     folder = finished.folder / f"{len(finished.steps):02d}"
     records = [gb.read_csv(file, MASS) for file in sorted(finished.folder.glob("*/record.csv"))]
@@ -126,7 +128,6 @@ def test_what_it_writes_is_read_back_and_refitted_to_the_same_errors(finished) -
         assert again.parameters[name].value == pytest.approx(estimate.value, rel=0.01), name
 
 
-@pytest.mark.rest
 def test_it_goes_on_where_it_was_stopped(tmp_path) -> None:
     waiting = run_campaign(PLAN, tmp_path)
     assert waiting.status is CampaignStatus.MEASURING and waiting.findings[0].values["record"].endswith("record.csv")
@@ -154,7 +155,6 @@ def test_it_goes_on_where_it_was_stopped(tmp_path) -> None:
             run_campaign(replace(PLAN, model=edited), tmp_path)
 
 
-@pytest.mark.rest
 def test_the_plain_model_is_left_only_after_a_record_that_looks_for_what_hides(tmp_path) -> None:
     plain = run_campaign(PLAN, tmp_path, rig=rig("plain"), workers=1)
     assert plain.status is CampaignStatus.DONE and plain.steps[-1].verdict == "complete"
@@ -177,7 +177,6 @@ def test_a_contradicted_model_is_not_trusted_far_from_where_the_rig_has_been(fin
         assert share == pytest.approx(UNPROVEN_SHARE / caution, rel=1e-9)
 
 
-@pytest.mark.rest
 def test_a_rig_that_passes_a_limit_stops_the_campaign_and_the_record_stays(tmp_path) -> None:
     broken = run_campaign(PLAN, tmp_path, rig=rig("wild"))
     assert broken.status is CampaignStatus.LIMIT_BROKEN and abs(broken.steps[0].broken["x"]) > 0.3
@@ -194,7 +193,6 @@ RIGS = [
 ]
 
 
-@pytest.mark.rest
 def test_what_is_wrong_with_a_rig_is_said_in_one_sentence(tmp_path) -> None:
     impatient = replace(CAMPAIGN_POLICY, rig_timeout=-19.5)
     run_campaign(PLAN, tmp_path)
@@ -206,7 +204,6 @@ def test_what_is_wrong_with_a_rig_is_said_in_one_sentence(tmp_path) -> None:
         (tmp_path / "01" / "record.csv").unlink(missing_ok=True)
 
 
-@pytest.mark.rest
 def test_the_command_waits_for_a_record_and_refuses_what_cannot_be(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     base = ["campaign", "silverbox", "--duration", "0.1", "--sampling-time", "1.5e-3", "--no-report"]
@@ -241,7 +238,6 @@ def test_a_folder_in_which_a_campaign_is_at_work_is_refused(tmp_path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["campaign.lock"]
 
 
-@pytest.mark.rest
 @pytest.mark.skipif(sys.platform == "win32", reason="locks and signals of POSIX")
 def test_a_rig_that_outlives_its_campaign_keeps_the_folder(tmp_path) -> None:
     program = "import os, pathlib, time; pathlib.Path('pid').write_text(str(os.getpid())); time.sleep(60)"

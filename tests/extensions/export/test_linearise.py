@@ -349,6 +349,7 @@ def test_to_control_hands_over_names_and_warns():
         gb.export.to_control(micro_actuator, {"u": 1}, delay=1e-3, form="nonlinear")
 
 
+@pytest.mark.rest
 def test_the_continuous_nonlinear_system_has_the_linear_one_as_its_slope(steady):
     system = gb.export.to_control(pneumatic_full, form="nonlinear")
     theirs = system.linearize(steady.x0, steady.u0)

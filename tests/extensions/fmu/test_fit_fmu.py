@@ -224,6 +224,7 @@ def test_names_and_files_that_are_wrong_are_refused(exported, tmp_path):
         read_fmu(tmp_path / "bad.fmu")
 
 
+@pytest.mark.rest
 def test_the_command_fits_an_fmu(exported, tmp_path):
     record = actuator_record(rows=300)
     rows = np.column_stack([record.time, record.inputs["u"], record.outputs["x"]])

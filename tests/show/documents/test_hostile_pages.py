@@ -105,6 +105,7 @@ def test_no_text_of_a_page_runs_or_becomes_markup(tab, pages, tmp_path, kind):
     assert next(count) > 20
 
 
+@pytest.mark.rest
 def test_what_is_injected_all_the_same_does_not_run(tab, pages, tmp_path):
     html = render_page(pages["check"])
     for place in ("</header>", "</body>"):

@@ -15,6 +15,8 @@ from greybox.show.printers.html import write_page
 from models.micro_actuator import micro_actuator
 from tests.support.browser import opened, wait_until
 
+pytestmark = pytest.mark.rest
+
 REST = gb.FitOptions(at_rest=True)
 HOSTILE = """<script>window.hurt=1</script></script>"><img src=x onerror="window.hurt=1">&amp;'`${1}"""
 
@@ -96,6 +98,7 @@ def test_paper_shows_every_output_with_its_name_and_the_screen_is_as_before(page
     assert page.evaluate(names) == [] and page.evaluate(axes) == ["x"]
 
 
+@pytest.mark.rest
 def test_dark_and_light_follow_the_reader_and_the_button_on_a_phone_too(tab, report):
     tab.emulate_media(color_scheme="dark")
     tab.set_viewport_size({"width": 390, "height": 800})
@@ -112,7 +115,6 @@ def test_dark_and_light_follow_the_reader_and_the_button_on_a_phone_too(tab, rep
     tab.set_viewport_size({"width": 1280, "height": 720})
 
 
-@pytest.mark.rest
 def test_every_kind_of_page_opens_and_is_drawn(tab, good_fit, tmp_path):
     """Nothing in the console, nothing fetched, every figure drawn; one page after the other."""
     t = 5e-4 * np.arange(400)

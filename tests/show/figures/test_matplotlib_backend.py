@@ -142,6 +142,7 @@ def test_a_warning_above_a_panel_stands_out() -> None:
     assert colours == [PALETTE[Role.REFERENCE].light, PALETTE[Role.SIMULATED].light]
 
 
+@pytest.mark.rest
 def test_each_file_is_drawn_once_and_equal_sheets_are_equal_files(tmp_path: Path, monkeypatch) -> None:
     draws = []
     draw = Picture.draw

@@ -211,6 +211,7 @@ def test_the_extended_filter_is_the_textbook_one():
     check_slopes(kalman, rows, pn, np.array([0.4]))
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     "model",
     [
