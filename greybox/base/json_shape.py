@@ -477,8 +477,10 @@ def _list_fields(kind: Any) -> tuple[str, ...]:
 
 
 def _strip(hint: Any) -> tuple[Any, tuple[Any, ...]]:
-    """A type without its marks, and these."""
-    return (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
+    """A type without its marks, and these; a class of mappings is written as the mapping that it is."""
+    hint, marks = (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
+    mappings = (base for base in getattr(hint, "__orig_bases__", ()) if get_origin(base) is Mapping)
+    return next(mappings, hint), marks
 
 
 def _without_none(hint: Any) -> Any:
