@@ -183,6 +183,11 @@ class PlantModel(Model):
 
     plant: Any = None
 
+    @property
+    def may_end_process(self) -> bool:
+        """Whether its runs may take the process along: it runs machine code that others have compiled, and says so (``is_native``)."""
+        return bool(getattr(self.plant, "is_native", False))
+
     @classmethod
     def of(cls, plant: Plant) -> PlantModel:
         """The model of ``plant``. Raises ModelError for names that clash."""

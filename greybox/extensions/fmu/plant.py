@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -39,6 +39,9 @@ class FmuPlant(Printable):
     """
 
     fmu: FmuDescription
+
+    is_native: ClassVar[bool] = True
+    """Its code is compiled, and may end the process that runs it."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Its description: another process unpacks the FMU by itself."""

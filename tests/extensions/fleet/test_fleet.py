@@ -7,6 +7,8 @@ import json
 import multiprocessing
 import os
 import re
+import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -360,3 +362,35 @@ def test_names_of_records_are_no_formulas_in_the_table(tmp_path: Path) -> None:
     assert len(cells) == len(names) and cells[-1] == "plain"
     assert not [cell for cell in cells if cell.strip()[:1] in tuple("=+-@\uff1d")]
     assert all(cell.isprintable() for row in rows for cell in row)
+
+
+class Abrupt:
+    """A decay whose compiled code ends the process for a record that begins above 5."""
+
+    name = "abrupt"
+    inputs = ()
+    outputs = (gb.Output("y", "V"),)
+    parameters = (gb.Parameter("rate", "1/s", 1.0, (0.01, 100.0)),)
+    is_native = True
+
+    def simulate(self, record: gb.Experiment, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+        first = record.outputs["y"][0]
+        if first > 5:
+            os.abort()
+        return {"y": first * np.exp(-values["rate"] * record.time)}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="aborts differ")
+@pytest.mark.parametrize("bad", [0, 2, 3])
+def test_a_record_that_ends_its_process_is_named_at_the_first_attempt(bad: int) -> None:
+    time = np.linspace(0.0, 3.0, 31)
+    rng = np.random.default_rng(bad)
+    records = [
+        gb.Experiment(
+            f"r{k}", time, {}, {"y": (9.0 if k == bad else 1.0) * np.exp(-2 * time) + 0.001 * rng.normal(size=31)}
+        )
+        for k in range(4)
+    ]
+    fleet = gb.fit_each(Abrupt(), records, noise={"y": 0.001})
+    assert [r.name for r in fleet.records if not r.is_usable] == [f"r{bad}"]
+    assert all(r.parameters["rate"].value == pytest.approx(2.0, rel=0.01) for r in fleet.records if r.is_usable)
