@@ -95,9 +95,9 @@ def discover(study: Study) -> Answer:
 def _next(study: Study, result: Discovery, further: Path) -> NextCommand:
     """The extended model goes on to a fit of its own; where nothing was found, the next record is designed."""
     if not result.effects:
-        return study.then("design", further.parent / "discovery.json", *study.estimation, alone=True)
+        return study.then("design", further.parent / "discovery.json", *study.estimation, keeps=())
     if further.suffix != ".py":
-        return study.then("changed", further, *study.validation, alone=True)
+        return study.then("changed", further, *study.validation, keeps=())
     # The model file holds values, bounds and what is fixed.
     plain = study.but(fixed={}, start={}, free=(), ties={}, priors={})
     return plain.then("fit", further, *study.estimation)

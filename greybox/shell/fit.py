@@ -144,7 +144,7 @@ def next_command(study: Study, result: Fit, saved: Path) -> NextCommand:
         return study.then("compare", *records)
     # A model that no name finds is named beside its fit.
     known = ["--model", study.model] if is_model_path(study.model) else []
-    return study.then("export", saved, "--to", "control", *known, alone=True)
+    return study.then("export", saved, "--to", "control", *known, keeps=())
 
 
 def _write_page(answer: FitAnswer, target: Path, skip: int) -> Path:

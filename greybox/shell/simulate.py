@@ -80,7 +80,7 @@ def simulate(study: Study) -> Answer:
         SimulationAnswer(run, plant, added),
         lambda report: _as_json(run, target, report),
         [target],
-        next=study.then("fit", study.model, target, alone=True) if plant.free_parameters else "",
+        next=study.then("fit", study.model, target, keeps=("fixed",)) if plant.free_parameters else "",
         page=(lambda: write_report(run, target.with_suffix(".html"), model=plant, noise=added))
         if study.output
         else None,

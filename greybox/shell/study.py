@@ -8,7 +8,7 @@ made from these values (`greybox.shell.command_line`, `greybox.shell.study_file`
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -333,9 +333,9 @@ class Study:
         label = self.label(option) if option.flags else ""
         return f"{label} {option.kind.spell(self.values[option.name])}".strip()
 
-    def then(self, command: str, *arguments: object, alone: bool = False) -> NextCommand:
-        """The command that follows, with ``arguments`` in place of its own and those of its options that this study sets; or ``alone``."""
-        return NextCommand(self, command, arguments, alone)
+    def then(self, command: str, *arguments: object, keeps: Collection[str] | None = None) -> NextCommand:
+        """The command that follows: ``arguments``, and those of its options that this study sets, or of these that it ``keeps``."""
+        return NextCommand(self, command, arguments, keeps)
 
     @property
     def uncounted(self) -> int:
@@ -423,20 +423,25 @@ Relation = Needs | Excludes | Idle
 
 @dataclass(frozen=True)
 class NextCommand:
-    """A ``command`` that follows a study: its ``arguments``, and those of its options that the study sets, unless it stands ``alone``."""
+    """A ``command`` that follows a study: ``arguments``, and those of its options that the study sets, or of these that it ``keeps``."""
 
     study: Study
     command: str
     arguments: Sequence[object]
-    alone: bool = False
+    keeps: Collection[str] | None = None
 
     def spell(self, commands: Mapping[str, Command]) -> str:
         """As it is typed."""
         words = ["greybox", self.command, *map(str, self.arguments)]
         # A command that says an option in its own words has it twice: the last counts.
-        options = {} if self.alone else {option.name: option for option in commands[self.command].options}
+        options = {option.name: option for option in commands[self.command].options}
         for option in options.values():
-            if option.flags and option.place and self.study.sets(option):
+            if (
+                (self.keeps is None or option.name in self.keeps)
+                and option.flags
+                and option.place
+                and self.study.sets(option)
+            ):
                 values = option.kind.typed(self.study.values[option.name])
                 if isinstance(option.kind, kinds.Switch):
                     words.append(option.flags[0])

@@ -316,3 +316,16 @@ def test_cells_that_are_shown_as_percent_are_percent(tmp_path, header, cell_form
     model = SimpleNamespace(name="any", inputs=(), outputs=(Output("u", unit), Output("x", "V")), stated_parameters=())
     read = read_arrays(tmp_path / "run.xlsx", model).outputs["u"]
     np.testing.assert_allclose(read[[0, 2, 3]], np.array([1, 3, 4]) * share * (100 if unit == "%" else 1))
+
+
+@pytest.mark.parametrize("empty", [0, 25, 60])
+def test_a_percent_format_is_seen_however_late_its_numbers_begin(tmp_path, empty):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["time [s]", "u", "x"])
+    for k in range(70):
+        book.active.append([k, None if k < empty else 0.25, k])
+        book.active.cell(k + 2, 2).number_format = "General" if k < empty else "0%"
+    book.save(tmp_path / "run.xlsx")
+    model = SimpleNamespace(name="any", inputs=(), outputs=(Output("u", "%"), Output("x", "V")), stated_parameters=())
+    assert read_arrays(tmp_path / "run.xlsx", model).outputs["u"][-1] == pytest.approx(25)

@@ -95,7 +95,7 @@ def design(study: DesignStudy) -> Answer:
         next=study.then(
             "simulate",
             *(_model_of(study, result), folder / "input.csv", *_set(result), "--output", "planned.csv"),
-            alone=True,
+            keeps=(),
         ),
     )
 

@@ -154,21 +154,20 @@ def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
                 continue
             head = join_units(head, row)
         elif head is not None and values:
-            return _read_block(page.title, head, row, rows, policy, _find_percents(page, number))
+            return _read_block(page.title, head, row, rows, policy, _find_percents(page, number, len(head)))
     return None
 
 
-# Rows in which the format of a column is looked for: its first cells may be empty.
-FORMAT_ROWS = 20
-
-
-def _find_percents(page: Any, first: int) -> set[int]:
-    """Positions of the columns whose first numbers, from row ``first`` on, are shown as percent: 50 % is kept as 0.5."""
+def _find_percents(page: Any, first: int, columns: int) -> set[int]:
+    """Positions of the ``columns`` whose first numbers, from row ``first`` on, are shown as percent: 50 % is kept as 0.5."""
     formats: dict[int, str] = {}
-    for row in page.iter_rows(min_row=first, max_row=first + FORMAT_ROWS):
+    for row in page.iter_rows(min_row=first, max_col=columns):
         for k, cell in enumerate(row):
-            if isinstance(cell.value, (int, float)):
-                formats.setdefault(k, cell.number_format)
+            if cell.value is not None:
+                formats.setdefault(k, cell.number_format if isinstance(cell.value, (int, float)) else "")
+        # The first cells of a column may be empty; a row that is empty ends the block.
+        if len(formats) == columns or all(cell.value is None for cell in row):
+            break
     # A sign in quotation marks or behind a backslash is only written beside the number.
     return {k for k, text in formats.items() if "%" in re.sub(r'"[^"]*"|\\.', "", text)}
 
