@@ -413,6 +413,27 @@ def propose_columns(
     return tuple(names.values()), tuple(choices)
 
 
+# Words that say of a name that its numbers count something (adc_counts): no reading in volts is called so.
+_COUNTS = frozenset(
+    (
+        "count",
+        "counts",
+        "cnt",
+        "cnts",
+        "cts",
+        "tick",
+        "ticks",
+        "pulses",
+        "lsb",
+        "lsbs",
+        "adc",
+        "adu",
+        "inc",
+        "incs",
+        "codes",
+        "digits",
+    )
+)
 # Endings that are words of names as well (x_min, p_bar): they ask nothing where they are of another quantity.
 _WORDS = frozenset(("min", "bar", "rad", "pa", "as", "day", "knot"))
 
@@ -436,6 +457,8 @@ def _settle_unit(
             return reading
     endings = [r.unit for r in readings if column.name.lower().endswith(r.unit.lower()) or r.unit in "%‰"]
     other = [unit for unit in endings if unit.lower() not in _WORDS and (len(unit) > 1 or unit in "%°‰")]
+    if not converts("1", signal.unit):
+        other += [word for word in re.split(r"[\W_\d]+", column.name.lower()) if word in _COUNTS]
     if is_chosen and other:
         how = _explain_mapping(signal, replace(column, unit=signal.unit or "1"), are_named)
         problems.append(

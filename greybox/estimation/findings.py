@@ -13,6 +13,7 @@ import numpy as np
 from greybox.base import Finding, Severity, format_unit
 from greybox.base.linear_algebra import are_independent
 from greybox.base.numerics import INDEPENDENT_FORMULA, RELATION_MET, ROWS_AT_A_TIME, STATE_BOUND_MARGIN, TINY
+from greybox.data.closed_loop import answers_same_row
 from greybox.data.experiment import Experiment, collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
@@ -348,6 +349,9 @@ def _find_other_courses(optimum: Optimum) -> list[Finding]:
     inflation = float(np.nanmax(covariance.inflation, initial=1.0)) ** 2
     judged = []
     for other in optimum.other_courses:
+        # An input that answers the reading of its row holds what only the next row could show: straight it would seem to foretell it.
+        if isinstance(optimum, PredictionOptimum) and any(_answers_same_row(optimum, n) for n in other.courses):
+            continue
         # What a residual above the noise leaves is noise to a comparison of two courses.
         squares = optimum.objective.squares
         left = 1.0 if squares is None else max(1.0, (optimum.evaluation.cost - max(other.gain, 0.0)) / squares)
@@ -373,6 +377,16 @@ def _find_other_courses(optimum: Optimum) -> list[Finding]:
         values["changes"] = _list_changes(variables, other.change, sizes, COURSE_MATTERS)
         result.append(Finding(code, Severity.WARNING, subject, values))
     return result
+
+
+def _answers_same_row(optimum: Optimum, name: str) -> bool:
+    """Whether a controller has written an input in answer to a reading of the same row."""
+    return any(
+        answers_same_row(e.inputs[name], reading)
+        for e in optimum.problem.experiments
+        for reading in e.outputs.values()
+        if e.courses[name] == "zero"
+    )
 
 
 # Bias of a constant, in its standard deviations, from which the noise of an input is said to cause it: of 95 % intervals half a deviation

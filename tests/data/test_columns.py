@@ -329,3 +329,17 @@ def test_a_percent_format_is_seen_however_late_its_numbers_begin(tmp_path, empty
     book.save(tmp_path / "run.xlsx")
     model = SimpleNamespace(name="any", inputs=(), outputs=(Output("u", "%"), Output("x", "V")), stated_parameters=())
     assert read_arrays(tmp_path / "run.xlsx", model).outputs["u"][-1] == pytest.approx(25)
+
+
+@pytest.mark.parametrize("header", ["adc_counts", "lsb", "Encoder Ticks", "inc_raw", "ADC0"])
+def test_a_column_of_counts_is_no_reading_in_a_unit(tmp_path, header):
+    (tmp_path / "run.csv").write_text(f"time [s],{header}\n0,100\n1,120\n2,140\n")
+
+    def read(unit, key):
+        model = SimpleNamespace(name="any", inputs=(), outputs=(Output("x", unit),), stated_parameters=())
+        return read_arrays(tmp_path / "run.csv", model, columns={key: header}).outputs["x"]
+
+    with pytest.raises(DataError, match="a unit of another quantity"):
+        read("V", "x")
+    np.testing.assert_array_equal(read("V", "x [V]"), [100, 120, 140])
+    np.testing.assert_array_equal(read("1", "x"), [100, 120, 140])
