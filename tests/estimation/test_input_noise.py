@@ -170,6 +170,7 @@ def count_inside(records: int, level: float) -> tuple[int, int]:
     return inside, counted
 
 
+@pytest.mark.rest
 def test_intervals_of_a_few_records_with_noisy_smooth_inputs() -> None:
     inside, counted = count_inside(3, 0.01)
     assert counted > 15 and inside >= 0.8 * counted

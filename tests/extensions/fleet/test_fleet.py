@@ -380,6 +380,7 @@ class Abrupt:
         return {"y": first * np.exp(-values["rate"] * record.time)}
 
 
+@pytest.mark.rest
 @pytest.mark.skipif(sys.platform == "win32", reason="aborts differ")
 @pytest.mark.parametrize("bad", [0, 2, 3])
 def test_a_record_that_ends_its_process_is_named_at_the_first_attempt(bad: int) -> None:
