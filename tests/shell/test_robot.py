@@ -69,6 +69,19 @@ def test_bad_input_ends_with_one_message(folder: Path, arguments: list[str], rea
     assert not (folder / "results").exists()
 
 
+def test_it_designs_the_motion_to_record_next(folder: Path) -> None:
+    done = run("arm.urdf", "log.csv", "--design", "--output", "out", "--no-report")
+    assert done.exit_code == 0, done.output
+    first = " ".join(done.stdout.split())
+    assert first.startswith("10 s of this motion make the intervals of 6 base parameters")
+    assert "times narrower than the logs alone (median; " in first
+    rows = np.loadtxt(folder / "out" / "next_motion.csv", delimiter=",", skiprows=1)
+    # Inside what the description states of the shoulder.
+    assert np.abs(rows[:, 1]).max() <= 3 and np.abs(rows[:, 3]).max() <= 8
+    data = json.loads(run("arm.urdf", "log.csv", "--design", "--output", "out", "--no-report", "--json").stdout)
+    assert all(e["after"] < e["before"] for e in data["standard_errors"].values())
+
+
 def test_its_page_says_what_is_missing_where(folder: Path) -> None:
     details = run("arm.urdf", "log.csv", "--details", "--no-report").stdout
     for words in ("Iyy1 + 0.25 m2", "established", "viscous friction"):

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from greybox.extensions.robot.base_parameters import BaseParameters, find_base_parameters
     from greybox.extensions.robot.description import Joint, JointKind, Robot
     from greybox.extensions.robot.description_files import read_robot
+    from greybox.extensions.robot.design import MotionDesign, design_motion
     from greybox.extensions.robot.identify import identify_robot
     from greybox.extensions.robot.model import robot_model
     from greybox.extensions.robot.plant import RobotPlant, robot

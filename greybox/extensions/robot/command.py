@@ -20,6 +20,12 @@ class RobotStudy(Study):
         "known_to",
         "How well ROBOT is known: 0.1 takes its constants to be right to 10 %. [default: not at all]",
     )
+    design = Option(
+        Switch(),
+        "--design",
+        "design",
+        "Also design the motion to record next, a Fourier series inside the limits of ROBOT.",
+    )
     physical = Option(Switch(), "--physical", "physical", "Also look for constants of each link that a body can have.")
 
 
@@ -30,12 +36,15 @@ def robot(study: RobotStudy) -> Answer:
     searched for viscous, dry, Stribeck and load-dependent friction, an offset, the motor's inertia, a wrong gain and a delay, and the last
     link for a payload. Columns are q1, tau1, q2, tau2 ... in the order of the axes, and dq1 ... where velocities were measured.
     Writes DIR/robot.json, DIR/index.html, a page for the browser, and two models that other commands take: DIR/motion.py runs, is
-    linearised and exported; the export of DIR/torques.py is a controller's feed-forward.
+    linearised and exported; the export of DIR/torques.py is a controller's feed-forward. --design writes DIR/next_motion.csv, the motion
+    that makes the intervals of the base parameters narrowest beside DATA, and says by how much.
 
     Exit code 0: there is an answer. 2: bad input, nothing was written.
     """
+    from greybox.base import format_json, to_json_data
     from greybox.data.findings import RecordCode
     from greybox.extensions.export.python_model import to_python
+    from greybox.extensions.robot.design import design_motion
     from greybox.extensions.robot.identify import identify_robot
     from greybox.extensions.robot.model import robot_model
     from greybox.extensions.robot.plant import robot as read_plant
@@ -54,6 +63,20 @@ def robot(study: RobotStudy) -> Answer:
         to_python(robot_model(plant.robot, identified, inverse=inverse), folder / f"{name}.py")
         for name, inverse in (("motion", False), ("torques", True))
     ]
+    if study.design:
+        noise = {joint.joint: joint.final for joint in identified.joints}
+        # As many rows a second as the first log has.
+        rate = (logs[0].rows - 1) / float(logs[0].time[-1] - logs[0].time[0])
+        designed = design_motion(plant.robot, logs, noise=noise, rate=rate)
+        written = designed.write_csv(folder / "next_motion.csv")
+        return Answer(
+            str(designed),
+            lambda _: format_json(to_json_data(designed.to_data())),
+            [saved, *models, written],
+            lambda: write_report(identified, folder / "index.html"),
+            kept=f"the motion is in {written}",
+            next=study.then("robot", study.source, *study.estimation, "log_of_next_motion.csv"),
+        )
     return Answer(
         identified,
         lambda _: saved.read_text(encoding="utf-8"),
@@ -73,7 +96,7 @@ ROBOT = Command(
         Study.estimation.but(
             usage="DATA", help="Joint logs: CSV, MAT, MCAP and others, headers 'name [unit]'.", required=True
         ),
-        *(RobotStudy.known_to, RobotStudy.physical),
+        *(RobotStudy.known_to, RobotStudy.physical, RobotStudy.design),
         *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit),
         *(Study.first_time, Study.last_time, Study.split_holes),
         Study.output.but(help="Folder for the results. [default: results/ROBOT-robot]"),
