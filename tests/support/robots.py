@@ -65,7 +65,7 @@ CART_POLE = """<mujoco model="cart_pole">
   <worldbody>
     <geom type="plane" size="1 1 1"/>
     <body name="cart" pos="0 0 0.4" euler="0 0 30">
-      <inertial pos="0 0 0" mass="4" diaginertia="0.1 0.1 0.1"/>
+      <inertial pos="0 0 0" mass="4" diaginertia="0.1 0.2 0.15" zaxis="0.1 0.2 1"/>
       <joint name="rail" type="slide" axis="1 0 0" ref="0.2"/>
       <body name="pole" childclass="hinge" pos="0.1 0 0.5" quat="0.9238795325112867 0 0.3826834323650898 0">
         <inertial pos="0.02 0 0.1" mass="0.7" fullinertia="0.02 0.021 0.003 0.001 -0.002 0.0005"/>
@@ -116,6 +116,7 @@ def joint_log(
     viscous: tuple[float, float] = (0.0, 0.0),
     dry: tuple[float, float] = (0.0, 0.0),
     offset: tuple[float, float] = (0.0, 0.0),
+    motor: tuple[float, float] = (0.0, 0.0),
     payload: float = 0.0,
     rows: int = 8000,
 ) -> Experiment:
@@ -128,6 +129,7 @@ def joint_log(
         + np.array(dry) * np.sign(dq)
         + offset
     )
+    tau += np.array(motor) * ddq
     white, slow = generator.normal(size=(2, *tau.shape))
     tau += [0.1, 0.03] * (white + 0.3 * lfilter([np.sqrt(1 - 0.95**2)], [1, -0.95], slow, axis=0))
     resolution = 2 * np.pi / 2**18

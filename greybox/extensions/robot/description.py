@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from greybox.base import ModelError, nearest
 from greybox.base.values import ReadOnly
@@ -227,10 +228,7 @@ def move_joint(joint: Joint, q: float) -> tuple[np.ndarray, np.ndarray]:
 
 def rotate_about(axis: np.ndarray, angle: float) -> np.ndarray:
     """Rotation (3, 3) about a unit axis (3,) by an angle in rad."""
-    x, y, z = axis
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    # Rodrigues: R = 1 + sin(q) [a] + (1 - cos(q)) [a]^2.
-    return np.asarray(np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K)
+    return np.asarray(Rotation.from_rotvec(angle * axis).as_matrix())
 
 
 def to_pseudo_inertia(inertial: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from greybox.base import DataError, ModelError, nearest
 from greybox.extensions.robot.description import (
@@ -215,11 +216,9 @@ def _read_urdf_joint(element: Element, links: dict[str, Element]) -> Body:
 
 def _urdf_pose(element: Element | None, owner: str) -> tuple[np.ndarray, np.ndarray]:
     origin = None if element is None else element.find("origin")
-    roll, pitch, yaw = _numbers(origin, "rpy", (0, 0, 0), owner)
+    rpy = _numbers(origin, "rpy", (0, 0, 0), owner)
     # Roll, pitch and yaw about the fixed axes x, y, z: R = Rz Ry Rx.
-    x, y, z = np.eye(3)
-    rotation = rotate_about(z, yaw) @ rotate_about(y, pitch) @ rotate_about(x, roll)
-    return rotation, _numbers(origin, "xyz", (0, 0, 0), owner)
+    return np.asarray(Rotation.from_euler("xyz", rpy).as_matrix()), _numbers(origin, "xyz", (0, 0, 0), owner)
 
 
 def _urdf_inertial(link: Element, name: str) -> np.ndarray:
@@ -353,10 +352,10 @@ class _MjcfReader:
     def _rotation(self, element: Element, owner: str) -> np.ndarray:
         """Rotation (3, 3) of an element, whichever of the five ways states it."""
         if element.get("quat") is not None:
-            quaternion = _numbers(element, "quat", (1, 0, 0, 0), owner)
-            length = float(np.linalg.norm(quaternion[1:]))
-            angle = 2 * math.atan2(length, quaternion[0])
-            return rotate_about(quaternion[1:] / length, angle) if length else np.eye(3)
+            # The scalar stands first here, and last there.
+            return np.asarray(
+                Rotation.from_quat(np.roll(_numbers(element, "quat", (1, 0, 0, 0), owner), -1)).as_matrix()
+            )
         if element.get("axisangle") is not None:
             stated = _numbers(element, "axisangle", (0, 0, 1, 0), owner)
             return rotate_about(_unit(stated[:3], owner), stated[3] * self.angle)
@@ -367,14 +366,10 @@ class _MjcfReader:
             y = _unit(axes[3:] - (axes[3:] @ x) * x, owner)
             return np.column_stack([x, y, np.cross(x, y)])
         if element.get("zaxis") is not None:
-            z = _unit(_numbers(element, "zaxis", (0, 0, 1), owner), owner)
             # The least turn that takes the vertical there.
-            axis, cosine = np.cross([0.0, 0.0, 1.0], z), z[2]
-            sine = float(np.linalg.norm(axis))
-            return rotate_about(axis / sine if sine else np.array([1.0, 0.0, 0.0]), math.atan2(sine, cosine))
-        rotation = np.eye(3)
-        # Small letters: about axes that turn along; capital ones: about those that stand still.
-        for letter, angle in zip(self.euler, _numbers(element, "euler", (0, 0, 0), owner) * self.angle, strict=True):
-            turn = rotate_about(np.eye(3)["xyz".index(letter.lower())], angle)
-            rotation = rotation @ turn if letter.islower() else turn @ rotation
-        return rotation
+            return np.asarray(
+                Rotation.align_vectors([_numbers(element, "zaxis", (0, 0, 1), owner)], [[0, 0, 1]])[0].as_matrix()
+            )
+        # Small letters are axes that turn along, capital ones those that stand still: the other way round there.
+        angles = _numbers(element, "euler", (0, 0, 0), owner) * self.angle
+        return np.asarray(Rotation.from_euler(self.euler.swapcase(), angles).as_matrix())

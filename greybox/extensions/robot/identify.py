@@ -7,16 +7,18 @@ carries, which effects it shows and whether another one would do as well, whethe
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from greybox.base import DataError, Finding, Severity
+from greybox.base.json_shape import Interval
 from greybox.data.experiment import Experiment
 from greybox.discovery.decision import Grade
 from greybox.extensions.robot.base_parameters import BaseParameters, find_base_parameters
-from greybox.extensions.robot.description import JointKind, Robot
+from greybox.extensions.robot.description import Robot
 from greybox.extensions.robot.joint_effects import (
     COLUMNS,
     COULOMB,
@@ -175,10 +177,31 @@ def identify_robot(
     chosen, sums = _select(table)
     torques = _follow_torques(log, len(base.names), chosen, sums)
     sums = _join_blocks(sums, log, torques, findings)
-    bias = _find_bias(base, logs, axes, log, chosen, table.prior)
+    every, estimates = max(1, len(log.counts) // SHAKEN_ROWS), []
+    # As much noise again shifts the estimates by as much again (Cook, Stefanski, J. American Statistical Association 89, 1994); once with
+    # either sign, so that what is linear in the noise cancels.
+    for shake in (0.0, 1.0, -1.0):
+        shaken = _fill_table(_read_logs(base, logs, axes, shake, every), table.prior / every)
+        estimates.append(_weigh_by_residual(shaken, chosen).take(chosen).fit().x)
+    bias = (estimates[1] + estimates[2]) / 2 - estimates[0]
     if physical:
         findings.append(_find_physical(base, sums, chosen, bias))
-    return _conclude(base, logs, log, table, sums, chosen, bias, torques, findings)
+    answer = _Answer(base, table, sums, chosen, sums.take(chosen).fit(), bias)
+    verdict, payload, further, inertias = answer.compare_with_description()
+    constants, effects = answer.list_constants(), [*answer.list_effects(), *inertias]
+    further += [
+        Finding(RobotCode.RIVAL, subject=e.joint, values={"kind": e.kind, "rival": e.rival}) for e in effects if e.rival
+    ]
+    if motion := _say_motion(constants):
+        values = {"names": [e.name for e in constants if e.is_open], "motion": motion}
+        further.append(Finding(RobotCode.OPEN_CONSTANTS, Severity.WARNING, values=values))
+    names = [j.name for j in robot.axes]
+    return RobotIdentification(
+        *(robot.name, robot.source, tuple(each.name for each in logs), len(log.counts), len(sums.rows), constants),
+        tuple(sorted(effects, key=lambda e: names.index(e.joint))),
+        *(answer.measure_joints(), verdict, payload, (*findings, *further)),
+        *(np.concatenate([m.time for m in log.motions]), torques),
+    )
 
 
 def _weigh_description(base: BaseParameters, prior: float) -> np.ndarray:
@@ -365,191 +388,150 @@ def _join_blocks(sums: BlockProducts, log: _Log, torques: np.ndarray, findings: 
     return sums.merge(int(min(max(count, LEAST_BLOCKS), len(sums.rows))))
 
 
-def _find_bias(
-    base: BaseParameters,
-    logs: Sequence[Experiment],
-    axes: Sequence[int],
-    log: _Log,
-    chosen: Sequence[int],
-    prior: np.ndarray,
-) -> np.ndarray:
-    """By how much the noise of the position sensors has shifted the estimates (chosen,).
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """The columns that were chosen, fitted; ``bias`` (chosen,) is what the noise of the positions has shifted the estimates by."""
 
-    As much noise again shifts them by as much again (Cook, Stefanski, J. American Statistical Association 89, 1994); once with either
-    sign, so that what is linear in the noise cancels.
-    """
-    every = max(1, len(log.counts) // SHAKEN_ROWS)
-    estimates = []
-    for shake in (0.0, 1.0, -1.0):
-        table = _fill_table(_read_logs(base, logs, axes, shake, every), prior / every)
-        estimates.append(_weigh_by_residual(table, chosen).take(chosen).fit().x)
-    return np.asarray((estimates[1] + estimates[2]) / 2 - estimates[0])
+    base: BaseParameters
+    table: _Table
+    sums: BlockProducts
+    chosen: Sequence[int]
+    fit: BlockSolution
+    bias: np.ndarray
 
+    @cached_property
+    def values(self) -> np.ndarray:
+        """The estimates (chosen,)."""
+        return np.asarray(self.fit.x - self.bias)
 
-def _conclude(
-    base: BaseParameters,
-    logs: Sequence[Experiment],
-    log: _Log,
-    table: _Table,
-    sums: BlockProducts,
-    chosen: Sequence[int],
-    bias: np.ndarray,
-    torques: np.ndarray,
-    findings: Sequence[Finding],
-) -> RobotIdentification:
-    """The fit in words: estimates with their intervals, effects with their grades, the comparison with the description."""
-    robot, B, fit = base.robot, len(base.names), sums.take(chosen).fit()
-    # What was known before is no block that could be left out: its share of the errors is added.
-    known = np.einsum("pb,bc,pc->p", fit.inverse[:, :B], table.prior[:-1, :-1], fit.inverse[:, :B])
-    values, std = fit.x - bias, np.sqrt(fit.covariance.diagonal() + known + bias**2)
-    reach = fit.quantile * std
-    sizes = _typical_sizes(base)
-    estimates = tuple(
-        BaseEstimate(
-            name,
-            base.describe(k),
-            base.units[k],
-            float(values[k]),
-            float(std[k]),
-            (float(values[k] - reach[k]), float(values[k] + reach[k])),
-            float(base.values[k]),
-            bool(fit.is_open[k] or reach[k] > OPEN_SHARE * sizes[k]),
+    @cached_property
+    def std(self) -> np.ndarray:
+        """Their standard errors (chosen,)."""
+        B, inverse = self.table.base, self.fit.inverse
+        # What was known before is no block that could be left out: its share of the errors is added.
+        known = np.einsum("pb,bc,pc->p", inverse[:, :B], self.table.prior[:-1, :-1], inverse[:, :B])
+        return np.sqrt(self.fit.covariance.diagonal() + known + self.bias**2)
+
+    def list_constants(self) -> tuple[BaseEstimate, ...]:
+        """The base parameters."""
+        base, units, links = self.base, np.array(self.base.units), self.base.columns // 10
+        made = []
+        for k, name in enumerate(base.names):
+            alike = np.abs(base.values) * (units == units[k])
+            # The largest constant of this unit on the link, or of all links where that is zero.
+            size = (alike * (links == links[k])).max() or alike.max()
+            value, std, interval = _spell(self.values[k], self.std[k], self.fit.quantile)
+            is_open = bool(self.fit.is_open[k] or interval[1] - value > OPEN_SHARE * size)
+            described = float(base.values[k])
+            made.append(BaseEstimate(name, base.describe(k), base.units[k], value, std, interval, described, is_open))
+        return tuple(made)
+
+    def list_effects(self) -> Iterator[JointEffect]:
+        """The effects with their grades."""
+        for k, column in enumerate(self.chosen):
+            if column >= self.table.base:
+                spelled = _spell(self.values[k], self.std[k], self.fit.quantile)
+                yield self._make_effect(column, spelled, *self._grade(column, spelled[0]))
+
+    def _make_effect(
+        self, column: int, spelled: tuple[float, float, Interval], grade: Grade, share: float, rival: str
+    ) -> JointEffect:
+        i, kind = _kind_of(self.table.base, column)
+        joint = self.base.robot.axes[i]
+        return JointEffect(joint.name, kind.name, *spelled, kind.units[joint.units[0] == "m"], grade, share, rival)
+
+    def _grade(self, column: int, value: float) -> tuple[Grade, float, str]:
+        """What may be said of an effect, the share of its joint's rms error that it takes, and what would do nearly as well."""
+        joint, kind = _kind_of(self.table.base, column)
+        without = [c for c in self.chosen if c != column]
+        share = float(1 - self._rms(self.chosen)[joint] / self._rms(without)[joint])
+        others = [_column(self.table.base, joint, k) for k, other in enumerate(COLUMNS) if other is not kind]
+        further = [c for c in others if c not in self.chosen]
+        shares = promise(self.sums, self.chosen, further).share
+        # Beside everything else that its joint may have, all at once.
+        rich = [*self.chosen, *(c for c, s in zip(further, shares, strict=True) if s > SEPARABLE_SHARE)]
+        fit, place = self.sums.take(rich).fit(), rich.index(column)
+        if fit.x[place] / fit.std[place] * np.sign(value) > CERTAIN_DEVIATIONS and share > CERTAIN_SHARE:
+            return Grade.ESTABLISHED, share, ""
+        errors = {c: self.sums.take([*without, c]).fit().residual for c in further}
+        rival = min(errors, key=errors.__getitem__, default=None)
+        return Grade.PROBABLE, share, "" if rival is None else _kind_of(self.table.base, rival)[1].name
+
+    def _rms(self, columns: Sequence[int]) -> np.ndarray:
+        """Rms (n,) that is left of each torque where these columns are fitted."""
+        x = np.zeros(self.sums.size)
+        x[list(columns)] = self.sums.take(columns).fit().x
+        return np.sqrt(self.table.measure(x))
+
+    def measure_joints(self) -> tuple[JointMisfit, ...]:
+        """How well each torque is followed."""
+        rms = np.array([self._rms(columns) for columns in ([], range(self.table.base), self.chosen)])
+        return tuple(
+            JointMisfit(joint.name, joint.units[1], int(rows), *map(float, rms[:, i]))
+            for i, (joint, rows) in enumerate(zip(self.base.robot.axes, self.table.rows.sum(axis=1), strict=True))
+            if rows
         )
-        for k, name in enumerate(base.names)
-    )
-    effects = []
-    for k, column in enumerate(chosen):
-        if column < B:
-            continue
-        i, kind = _kind_of(B, column)
-        grade, share, rival = _grade(table, sums, chosen, column, float(values[k] / std[k]))
-        unit = kind.units[robot.axes[i].kind is not JointKind.REVOLUTE]
-        interval = (float(values[k] - reach[k]), float(values[k] + reach[k]))
-        name = robot.axes[i].name
-        effects.append(
-            JointEffect(name, kind.name, float(values[k]), float(std[k]), interval, unit, grade, share, rival)
-        )
-    verdict, payload, further = _compare_with_description(base, sums, chosen)
-    further += [
-        Finding(RobotCode.RIVAL, subject=e.joint, values={"kind": e.kind, "rival": e.rival}) for e in effects if e.rival
-    ]
-    if motion := _say_motion(estimates):
-        names = [e.name for e in estimates if e.is_open]
-        further.append(Finding(RobotCode.OPEN_CONSTANTS, Severity.WARNING, values={"names": names, "motion": motion}))
-    return RobotIdentification(
-        robot.name,
-        robot.source,
-        tuple(each.name for each in logs),
-        len(log.counts),
-        len(sums.rows),
-        estimates,
-        tuple(sorted(effects, key=lambda e: [j.name for j in robot.axes].index(e.joint))),
-        _measure_joints(robot, table, sums, chosen),
-        verdict,
-        payload,
-        (*findings, *further),
-        np.concatenate([m.time for m in log.motions]),
-        torques,
-    )
+
+    def compare_with_description(self) -> tuple[RigidVerdict, Payload | None, list[Finding], list[JointEffect]]:
+        """Whether the rigid bodies are as described, or a payload on the last link or one factor is the difference.
+
+        Where the links are known, the inertia of each motor shows by itself: those that free links would carry come last.
+        """
+        base, B = self.base, self.table.base
+        inertia = [c for c in range(B, self.sums.size) if _kind_of(B, c)[1] is INERTIA]
+        effects = sorted({*self.chosen[B:], *inertia})
+        whole = self.sums.take([*range(B), *effects])
+
+        def fit(mixing: np.ndarray, described: float) -> BlockSolution:
+            """The rigid bodies as the description says, times ``described``, with combinations (B, Z) of unknowns beside it."""
+            Q = np.zeros((B + len(effects), mixing.shape[1] + len(effects)))
+            Q[:B, : mixing.shape[1]], Q[B:, mixing.shape[1] :] = mixing, np.eye(len(effects))
+            return whole.substitute(Q, described * np.concatenate([base.values, np.zeros(len(effects))])).fit()
+
+        free = whole.fit()
+        fits = {
+            RigidVerdict.AS_DESCRIBED: fit(np.zeros((B, 0)), 1.0),
+            RigidVerdict.SCALED: fit(base.values[:, None], 0.0),
+            RigidVerdict.PAYLOAD: fit(base.mixing[:, -10:], 1.0),
+        }
+        scaled = fits[RigidVerdict.SCALED]
+        factor, spread, between = _spell(scaled.x[0], scaled.std[0], scaled.quantile)
+        # The first of the ten constants is the mass, then come the first moments.
+        loaded = fits[RigidVerdict.PAYLOAD]
+        mass, std, interval = _spell(loaded.x[0], loaded.std[0], loaded.quantile)
+        is_possible = {
+            RigidVerdict.AS_DESCRIBED: abs(factor - 1) <= SCALED_DEVIATIONS * spread,
+            RigidVerdict.PAYLOAD: mass != 0 and not loaded.is_open[0],
+        }
+        errors = {
+            verdict: each.errors.sum()
+            for verdict, each in fits.items()
+            if is_possible.get(verdict, True)
+            and (
+                each.errors.sum() < (1 + SAME_SHARE) * free.errors.sum()
+                or not each.is_worse_than(free, BETTER_DEVIATIONS)
+            )
+        }
+        verdict = min(errors, key=lambda v: (v is not RigidVerdict.AS_DESCRIBED, errors[v]), default=RigidVerdict.OTHER)
+        findings, payload, motors = [], None, []
+        if verdict is RigidVerdict.SCALED:
+            values = {"factor": factor, "low": between[0], "high": between[1]}
+            findings = [Finding(RobotCode.SCALED, Severity.WARNING, base.robot.source, values)]
+        if verdict is RigidVerdict.PAYLOAD:
+            x, y, z = (loaded.x[1:4] / mass).tolist()
+            payload = Payload(base.robot.joints[-1].link, mass, std, interval, (x, y, z))
+        if verdict is not RigidVerdict.OTHER:
+            x, deviations = (v[-len(effects) :] for v in (fits[verdict].x, fits[verdict].std))
+            for column, value, deviation in zip(effects, x, deviations, strict=True):
+                if column not in self.chosen and value > NAMED_DEVIATIONS * deviation:
+                    spelled = _spell(value, deviation, free.quantile)
+                    motors.append(self._make_effect(column, spelled, Grade.PROBABLE, 0.0, ""))
+        return verdict, payload, findings, motors
 
 
-def _typical_sizes(base: BaseParameters) -> np.ndarray:
-    """For each base parameter (B,) the largest one of its unit on its link, or of all links where that is zero."""
-    units, links = np.array(base.units), base.columns // 10
-    result = np.empty(len(units))
-    for k in range(len(units)):
-        alike = np.abs(base.values) * (units == units[k])
-        result[k] = (alike * (links == links[k])).max() or alike.max()
-    return result
-
-
-def _grade(
-    table: _Table, sums: BlockProducts, chosen: Sequence[int], column: int, ratio: float
-) -> tuple[Grade, float, str]:
-    """What may be said of an effect, the share of its joint's rms error that it takes, and what would do nearly as well."""
-    B, joint = table.base, _kind_of(table.base, column)[0]
-    kind = _kind_of(B, column)[1]
-    without = [c for c in chosen if c != column]
-    left = _rms(table, sums, without)[joint]
-    share = 1 - _rms(table, sums, chosen)[joint] / left
-    others = [_column(B, joint, k) for k, other in enumerate(COLUMNS) if other is not kind]
-    further = [c for c in others if c not in chosen]
-    # Beside everything else that its joint may have, all at once.
-    separable = [c for c, s in zip(further, promise(sums, chosen, further).share, strict=True) if s > SEPARABLE_SHARE]
-    rich = [*chosen, *separable]
-    fit = sums.take(rich).fit()
-    place = rich.index(column)
-    beside = fit.x[place] / fit.std[place] * np.sign(ratio)
-    if beside > CERTAIN_DEVIATIONS and share > CERTAIN_SHARE:
-        return Grade.ESTABLISHED, float(share), ""
-    errors = {c: sums.take([*without, c]).fit().residual for c in further}
-    rival = min(errors, key=errors.__getitem__, default=None)
-    return Grade.PROBABLE, float(share), "" if rival is None else _kind_of(B, rival)[1].name
-
-
-def _rms(table: _Table, sums: BlockProducts, columns: Sequence[int]) -> np.ndarray:
-    """Rms (n,) that is left of each torque where these columns are fitted."""
-    x = np.zeros(sums.size)
-    x[list(columns)] = sums.take(columns).fit().x
-    return np.sqrt(table.measure(x))
-
-
-def _measure_joints(robot: Robot, table: _Table, sums: BlockProducts, chosen: Sequence[int]) -> tuple[JointMisfit, ...]:
-    torque = np.sqrt(table.measure(np.zeros(sums.size)))
-    rigid, final = _rms(table, sums, range(table.base)), _rms(table, sums, chosen)
-    return tuple(
-        JointMisfit(j.name, j.units[1], int(table.rows[i].sum()), float(torque[i]), float(rigid[i]), float(final[i]))
-        for i, j in enumerate(robot.axes)
-        if table.rows[i].sum()
-    )
-
-
-def _compare_with_description(
-    base: BaseParameters, sums: BlockProducts, chosen: Sequence[int]
-) -> tuple[RigidVerdict, Payload | None, list[Finding]]:
-    """Whether the rigid bodies are as described, or a payload on the last link or one factor is the difference."""
-    B = len(base.names)
-    inertia = [c for c in range(B, sums.size) if _kind_of(B, c)[1] is INERTIA]
-    # Where the links are as described, the inertia of each motor shows by itself.
-    effects = sorted({*chosen[B:], *inertia})
-    whole = sums.take([*range(B), *effects])
-
-    def fit(mixing: np.ndarray, described: float) -> BlockSolution:
-        """The rigid bodies as the description says, times ``described``, and with combinations (B, Z) of unknowns beside it."""
-        Q = np.zeros((B + len(effects), mixing.shape[1] + len(effects)))
-        Q[:B, : mixing.shape[1]], Q[B:, mixing.shape[1] :] = mixing, np.eye(len(effects))
-        return whole.substitute(Q, described * np.concatenate([base.values, np.zeros(len(effects))])).fit()
-
-    free = whole.fit()
-    scaled, loaded = fit(base.values[:, None], 0.0), fit(base.mixing[:, -10:], 1.0)
-    fits = {
-        RigidVerdict.AS_DESCRIBED: fit(np.zeros((B, 0)), 1.0),
-        RigidVerdict.SCALED: scaled,
-        RigidVerdict.PAYLOAD: loaded,
-    }
-    good = {
-        verdict: each.errors.sum()
-        for verdict, each in fits.items()
-        if each.errors.sum() < (1 + SAME_SHARE) * free.errors.sum() or not each.is_worse_than(free, BETTER_DEVIATIONS)
-    }
-    factor, spread = float(scaled.x[0]), float(scaled.std[0])
-    if abs(factor - 1) > SCALED_DEVIATIONS * spread:
-        good.pop(RigidVerdict.AS_DESCRIBED, None)
-    verdict = (
-        RigidVerdict.AS_DESCRIBED
-        if RigidVerdict.AS_DESCRIBED in good
-        else min(good, key=good.__getitem__, default=RigidVerdict.OTHER)
-    )
-    # The first of the ten constants is the mass, then come the first moments.
-    mass, std = float(loaded.x[0]), float(loaded.std[0])
-    if verdict is RigidVerdict.SCALED:
-        reach = scaled.quantile * spread
-        values = {"factor": factor, "low": factor - reach, "high": factor + reach}
-        return verdict, None, [Finding(RobotCode.SCALED, Severity.WARNING, base.robot.source, values)]
-    if verdict is not RigidVerdict.PAYLOAD or loaded.is_open[0]:
-        return RigidVerdict.OTHER if verdict is RigidVerdict.PAYLOAD else verdict, None, []
-    reach, (x, y, z) = loaded.quantile * std, (loaded.x[1:4] / mass).tolist()
-    return verdict, Payload(base.robot.joints[-1].link, mass, std, (mass - reach, mass + reach), (x, y, z)), []
+def _spell(value: float, std: float, quantile: float) -> tuple[float, float, Interval]:
+    """An estimate with its standard error and its 95 % interval."""
+    return float(value), float(std), (float(value - quantile * std), float(value + quantile * std))
 
 
 def _say_motion(base: Sequence[BaseEstimate]) -> str:

@@ -47,8 +47,7 @@ class RigidBody:
     def inverse_dynamics(self) -> ca.Function:
         """``(q, dq, ddq, theta) -> tau`` (n,): what the axes' drives must give."""
         q, dq, ddq, theta = self._symbols("q", "dq", "ddq")
-        return ca.Function("inverse_dynamics", [q, dq, ddq, theta], [self._torques(q, dq, ddq, theta)],
-                           ["q", "dq", "ddq", "theta"], ["tau"])  # fmt: skip
+        return _name("inverse_dynamics", [q, dq, ddq, theta], tau=self._torques(q, dq, ddq, theta))
 
     @cached_property
     def regressor(self) -> ca.Function:
@@ -67,7 +66,7 @@ class RigidBody:
                     # Moving joint i at unit speed turns the link at s, and moves its origin at s x r: tau = s . n + (s x r) . f.
                     Y[i, columns] = s.T @ moment + ca.cross(s, r).T @ force
         F, _ = self.robot.ties
-        return ca.Function("regressor", [q, dq, ddq], [ca.densify(F.T @ Y)], ["q", "dq", "ddq"], ["Y"])
+        return _name("regressor", [q, dq, ddq], Y=ca.densify(F.T @ Y))
 
     @cached_property
     def mass_matrix(self) -> ca.Function:
@@ -75,7 +74,7 @@ class RigidBody:
         q, ddq, theta = self._symbols("q", "ddq")
         # M = d tau / d ddq: the torques are linear in the accelerations.
         M = ca.jacobian(self._torques(q, ca.SX.zeros(q.shape), ddq, theta), ddq)
-        return ca.Function("mass_matrix", [q, theta], [M], ["q", "theta"], ["M"])
+        return _name("mass_matrix", [q, theta], M=M)
 
     @cached_property
     def forward_dynamics(self) -> ca.Function:
@@ -87,8 +86,7 @@ class RigidBody:
         # M ddq = tau - bias with M = L' D L: no pivots are needed of a positive matrix.
         D, LT, p = ca.ldl(M)
         ddq = ca.ldl_solve(tau - bias, D, LT, p)
-        return ca.Function("forward_dynamics", [q, dq, tau, theta, armature], [ddq],
-                           ["q", "dq", "tau", "theta", "armature"], ["ddq"])  # fmt: skip
+        return _name("forward_dynamics", [q, dq, tau, theta, armature], ddq=ddq)
 
     def compute_regressors(self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:
         """Regressors (N, n, 10 L) at rows (N, n) of positions, velocities and accelerations."""
@@ -108,7 +106,11 @@ class RigidBody:
     def _torques(self, q: ca.SX, dq: ca.SX, ddq: ca.SX, theta: ca.SX) -> ca.SX:
         """The recursion: motions outwards, wrenches inwards."""
         joints, motions = self.robot.joints, self._motions(q, dq, ddq)
-        wrenches = [_wrench(motion, theta[10 * k : 10 * (k + 1)]) for k, motion in enumerate(motions)]
+        # f and n of each link are linear in its ten constants.
+        wrenches = [
+            tuple(columns @ theta[10 * k : 10 * (k + 1)] for columns in _wrench_columns(motion))
+            for k, motion in enumerate(motions)
+        ]
         tau: list[ca.SX] = [ca.SX(0)] * len(joints)
         for k in reversed(range(len(joints))):
             (force, moment), joint, motion = wrenches[k], joints[k], motions[k]
@@ -154,6 +156,13 @@ class RigidBody:
             R = motions[k].R @ R
             r = r + R.T @ motions[k].p
             k = joint.parent
+
+
+def _name(name: str, arguments: list[ca.SX], **result: ca.SX) -> ca.Function:
+    """A function of symbols, each called as its first element without the number."""
+    return ca.Function(
+        name, arguments, list(result.values()), [a[0].name().rstrip("_0") for a in arguments], list(result)
+    )
 
 
 # Rows of which each instruction is run at once: what they need between instructions stays in the cache of a processor.
@@ -213,12 +222,6 @@ def _place(joint: Joint, q: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 def _clean(values: np.ndarray) -> ca.SX:
     return ca.sparsify(ca.SX(np.where(np.abs(values) < ROUNDING, 0.0, values)))
-
-
-def _wrench(motion: FrameMotion, theta: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Force and moment (3,) about the frame's origin that move a link of ten constants."""
-    force, moment = _wrench_columns(motion)
-    return force @ theta, moment @ theta
 
 
 def _wrench_columns(motion: FrameMotion) -> tuple[ca.SX, ca.SX]:

@@ -92,6 +92,22 @@ def test_a_delay_of_the_torque_is_told_from_friction(arm: gb.robots.Robot) -> No
     assert all(e.value == pytest.approx(0.006, rel=0.2) for e in found.effects)
 
 
+def test_the_inertia_of_motors_is_told_from_that_of_links(arm: gb.robots.Robot) -> None:
+    identified = identify_robot(arm, joint_log(motor=(0.1, 0.02)))
+    assert identified.verdict is RigidVerdict.AS_DESCRIBED
+    shoulder, elbow = identified.effects
+    assert (shoulder.joint, shoulder.kind, elbow.joint, elbow.kind) == (
+        "shoulder",
+        "motor_inertia",
+        "elbow",
+        "motor_inertia",
+    )
+    for effect, true in ((shoulder, 0.1), (elbow, 0.02)):
+        assert effect.value == pytest.approx(true, rel=0.1)
+    # The first joint's is told by the description alone: its link could have it as well.
+    assert shoulder.grade is Grade.PROBABLE
+
+
 def test_a_joint_that_hardly_moves_leaves_its_constants_open(arm: gb.robots.Robot) -> None:
     time, q, *_ = swing()
     still = np.column_stack([q[:, 0], 0.3 + 0 * time])
