@@ -473,8 +473,25 @@ class PredictionOptimum(Optimum):
 
     @cached_property
     def one_step(self) -> Mapping[str, Misfit]:
-        """Error of each output one step ahead."""
-        return compute_misfits(self.problem, make_traces(self.problem, self.maximum.objective.predict_one_step()))
+        """Error of each output one step ahead, over what process noise and the noise of the sensor make of it together."""
+        traces = make_traces(self.problem, self.maximum.objective.predict_one_step())
+        misfits = compute_misfits(self.problem, traces)
+        if not self.residuals:
+            return misfits
+        # An innovation over its standard deviation has the rms rmse / s: the s of all rows.
+        weighed = np.concatenate([rows for rows, _ in self.residuals.rows])
+        scale = dict(
+            zip((o.name for o in self.problem.model.outputs), np.sqrt(np.nanmean(weighed**2, axis=0)), strict=True)
+        )
+        std = {n: float(m.rmse / scale[n]) for n, m in misfits.items() if scale[n] > 0}
+        noise = self.problem.noise
+        levels = np.array(
+            [std.get(o.name, level) for o, level in zip(self.problem.model.outputs, noise.std, strict=True)]
+        )
+        sources = {**noise.sources, **dict.fromkeys(std, NoiseSource.INNOVATIONS)}
+        return compute_misfits(
+            replace(self.problem, noise=replace(noise, std=levels, sources=sources, bounds={})), traces
+        )
 
     @property
     def discretisation(self) -> str:
