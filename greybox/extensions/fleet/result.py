@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -29,8 +30,15 @@ class FleetCode(StrEnum):
     """Subject: the record. Values: ``reason``."""
     RECORDS_LEFT = "fleet_records_left"
     """Values: ``left``, ``records``."""
+    RECORDS_ALIKE = "fleet_records_alike"
+    """One measurement that is there twice. Subject: the second record. Values: ``first``, ``pairs``."""
     FINDING_COUNT = "fleet_finding_count"
     """How many records one finding is about. Subject: the first of them. Values: ``code``, ``records``, ``of``, ``sentence``."""
+
+
+# Share of an error, and of a constant's standard deviation, by which two fits of one measurement may differ: where their searches ended. Of
+# two measurements both agree so well, by chance, once in ten million pairs.
+ALIKE_ERROR, ALIKE_VALUE = 1e-5, 1e-2
 
 
 class RecordStatus(StrEnum):
@@ -256,6 +264,9 @@ class FleetResult(Printable):
             Finding(FleetCode.RECORD_WITHOUT_RESULT, Severity.WARNING, r.name, {"reason": r.reason})
             for r in self.without_result
         ]
+        if alike := self._find_alike():
+            twins: dict[str, Any] = {"first": alike[0][0], "pairs": len(alike)}
+            result.append(Finding(FleetCode.RECORDS_ALIKE, Severity.WARNING, alike[0][1], twins))
         first: dict[str, tuple[str, Finding]] = {}
         counts: Counter[str] = Counter()
         for r in self.records:
@@ -267,6 +278,23 @@ class FleetResult(Printable):
             counted = {"code": code, "records": count, "of": len(self.records), "sentence": str(finding)}
             result.append(Finding(FleetCode.FINDING_COUNT, finding.severity, name, counted))
         return tuple(result)
+
+    def _find_alike(self) -> list[tuple[str, str]]:
+        """Pairs of records that are one measurement, whatever their files and clocks: noise never gives one fit twice."""
+
+        def differs(a: RecordEstimate, b: RecordEstimate) -> bool:
+            errors = any(abs(m.rmse - b.misfit[n].rmse) > ALIKE_ERROR * m.rmse for n, m in a.misfit.items())
+            return errors or any(
+                abs(e.value - b.parameters[n].value) > ALIKE_VALUE * e.std for n, e in a.parameters.items() if e.std
+            )
+
+        # Those of one size of error stand side by side.
+        usable = [r for r in self.records if r.is_usable and r.misfit and all(m.rmse > 0 for m in r.misfit.values())]
+        ordered = sorted(usable, key=lambda r: (r.rows, sorted(r.misfit), max(m.rmse for m in r.misfit.values())))
+        pairs = [(a, b) for a, b in pairwise(ordered) if a.rows == b.rows and a.misfit.keys() == b.misfit.keys()]
+        order = [r.name for r in self.records]
+        names = [sorted((a.name, b.name), key=order.index) for a, b in pairs if not differs(a, b)]
+        return [(a, b) for a, b in names]
 
     def table(self) -> dict[str, list[Any]]:
         """One row for each record as columns: status, constants with standard deviation and interval, misfit, findings.

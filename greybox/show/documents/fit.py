@@ -202,8 +202,8 @@ def _worst(misfit: Mapping[str, result_parts.Misfit]) -> tuple[str, result_parts
 
 def _open_outputs(fit: Fit) -> list[str]:
     """Outputs above the level that they are weighed with and below the ceiling of their noise: that may be noise, and may be none."""
-    bounded = [n for n, m in fit.misfit.items() if m.direction is BoundDirection.AT_MOST]
-    return [n for n in bounded if (fit.misfit[n].error or 0.0) > GOOD_MISFIT * fit.noise.std[n]]
+    bounded = [n for n, m in fit.judged_misfit.items() if m.direction is BoundDirection.AT_MOST]
+    return [n for n in bounded if (fit.judged_misfit[n].error or 0.0) > GOOD_MISFIT * fit.noise.std[n]]
 
 
 @dataclass(frozen=True)

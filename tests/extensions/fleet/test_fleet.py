@@ -395,3 +395,24 @@ def test_a_record_that_ends_its_process_is_named_at_the_first_attempt(bad: int) 
     fleet = gb.fit_each(Abrupt(), records, noise={"y": 0.001})
     assert [r.name for r in fleet.records if not r.is_usable] == [f"r{bad}"]
     assert all(r.parameters["rate"].value == pytest.approx(2.0, rel=0.01) for r in fleet.records if r.is_usable)
+
+
+@pytest.mark.parametrize("copy", ["whole", "shifted clock", "other name and source"])
+def test_one_measurement_that_is_in_a_fleet_twice_is_named(copy: str) -> None:
+    rng, time = np.random.default_rng(5), 0.1 * np.arange(120)
+    u = np.repeat(rng.integers(0, 2, 12), 10).astype(float)
+    run = lfilter([0.0, 1 - np.exp(-0.2)], [1.0, -np.exp(-0.2)], u)
+    model = first_order()
+    (i,), (o,) = [s.name for s in model.inputs], [s.name for s in model.outputs]
+    records = [
+        gb.Experiment(f"r{k}", time, {i: u}, {o: run + 0.02 * rng.normal(size=120)}, source=f"r{k}.csv")
+        for k in range(6)
+    ]
+    assert not [f for f in gb.fit_each(model, records).findings if f.code is FleetCode.RECORDS_ALIKE]
+    twin = gb.Experiment(
+        "twin", time + (50.0 if copy == "shifted clock" else 0.0), records[3].inputs, records[3].outputs
+    )
+    twin = replace(twin, source="day2.csv") if copy == "other name and source" else twin
+    (finding,) = [f for f in gb.fit_each(model, [*records, twin]).findings if f.code is FleetCode.RECORDS_ALIKE]
+    assert (finding.values["first"], finding.subject) == ("r3", "twin")
+    assert "counts it twice" in str(finding)
