@@ -417,8 +417,8 @@ class _Answer:
         base, units, links = self.base, np.array(self.base.units), self.base.columns // 10
         made = []
         for k, name in enumerate(base.names):
-            alike = np.abs(base.values) * (units == units[k])
-            # The largest constant of this unit on the link, or of all links where that is zero.
+            # The largest constant of this unit on the link, or of all links where that is zero; many descriptions have no inertia.
+            alike = np.maximum(np.abs(base.values), np.abs(self.values[: len(units)])) * (units == units[k])
             size = (alike * (links == links[k])).max() or alike.max()
             value, std, interval = _spell(self.values[k], self.std[k], self.fit.quantile)
             is_open = bool(self.fit.is_open[k] or interval[1] - value > OPEN_SHARE * size)
@@ -507,6 +507,7 @@ class _Answer:
             verdict: each.errors.sum()
             for verdict, each in fits.items()
             if is_possible.get(verdict, True)
+            and base.values.any()  # a description without inertia describes nothing
             and (
                 each.errors.sum() < (1 + SAME_SHARE) * free.errors.sum()
                 or not each.is_worse_than(free, BETTER_DEVIATIONS)

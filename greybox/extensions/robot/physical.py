@@ -40,7 +40,9 @@ def find_physical_constants(
         The constants (10 L,), and by how much the sum of squares in standard errors grows with them.
     """
     links = base.robot.inertial.reshape(-1, 10)
-    start = np.concatenate([_to_factor(to_pseudo_inertia(link), LEAST_INERTIA * np.abs(links).max()) for link in links])
+    start = np.concatenate(
+        [_to_factor(to_pseudo_inertia(link), LEAST_INERTIA * max(np.abs(links).max(), 1.0)) for link in links]
+    )
     phi = ca.SX.sym("phi", len(start))
     theta = ca.vertcat(*(_from_factor(phi[10 * k : 10 * (k + 1)]) for k in range(len(links))))
     constants = ca.Function("constants", [phi], [theta, ca.jacobian(theta, phi)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,15 @@ def test_a_delay_of_the_torque_is_told_from_friction(arm: gb.robots.Robot) -> No
     found = identify_robot(arm, gb.Experiment("log", log.time, {}, late))
     assert {e.kind for e in found.effects} == {"torque_lag"}
     assert all(e.value == pytest.approx(0.006, rel=0.2) for e in found.effects)
+
+
+def test_a_description_without_inertia_is_enough(tmp_path: Path) -> None:
+    bare = re.sub(r"<inertial>.*?</inertial>", "", DOUBLE_PENDULUM, flags=re.DOTALL)
+    identified = identify_robot(read_robot(write(tmp_path / "bare.urdf", bare)), joint_log(**HIDDEN), physical=True)
+    assert identified.verdict is RigidVerdict.OTHER and not any(b.is_open for b in identified.base)
+    truth = base_of_textbook(0.4)
+    assert all(abs(b.value - truth[b.name]) < 4 * b.std for b in identified.base)
+    assert {e.kind for e in identified.effects} == {"viscous_friction", "coulomb_friction", "torque_offset"}
 
 
 def test_the_inertia_of_motors_is_told_from_that_of_links(arm: gb.robots.Robot) -> None:
