@@ -55,8 +55,9 @@ def watch_replaced() -> Iterator[dict[Path, str]]:
         _watched.reset(token)
 
 
-# Written files of which is remembered what they held: those of some hundred commands.
+# Written files of which is remembered what they held, those of some hundred commands; and where, in the folder of the cache.
 MOST_REMEMBERED = 500
+OUTPUTS_FILE = "outputs.json"
 
 
 def list_foreign(written: Mapping[Path, str], command: str, memory: Path) -> list[Path]:
@@ -65,10 +66,7 @@ def list_foreign(written: Mapping[Path, str], command: str, memory: Path) -> lis
     ``written``: as `watch_replaced` gives it. What they hold now is kept in the file ``memory``; one that is lost or damaged remembers
     nothing.
     """
-    known: dict[str, list[str]] = {}
-    with contextlib.suppress(OSError, ValueError):
-        known = dict(json.loads(memory.read_text(encoding="utf-8")))
-    asked = hashlib.sha256(command.encode()).hexdigest()[:16]
+    known, asked = _recall(memory), _abbreviate(command)
     places = {path: os.path.realpath(path) for path in written}
     foreign = [path for path, before in written.items() if before and known.get(places[path]) != [before, asked]]
     now = {places[path]: [compute_digest(path), asked] for path in written if path.is_file()}
@@ -76,6 +74,21 @@ def list_foreign(written: Mapping[Path, str], command: str, memory: Path) -> lis
     with contextlib.suppress(OSError):
         write_file(memory, json.dumps(dict(kept)), private=True)
     return foreign
+
+
+def is_output_of(path: Path, command: str, memory: Path) -> bool:
+    """Whether a file holds what ``command`` wrote there, by what `list_foreign` keeps in ``memory``."""
+    return _recall(memory).get(os.path.realpath(path)) == [compute_digest(path), _abbreviate(command)]
+
+
+def _recall(memory: Path) -> dict[str, list[str]]:
+    with contextlib.suppress(OSError, ValueError):
+        return dict(json.loads(memory.read_text(encoding="utf-8")))
+    return {}
+
+
+def _abbreviate(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def compute_digest(path: Path) -> str:

@@ -5,10 +5,12 @@ Every step is kept and can be taken back; nothing that fails changes the session
 
 from __future__ import annotations
 
+import itertools
 import math
+import os
 import shutil
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +21,7 @@ import numpy as np
 from greybox.base import DataError, GreyboxError, ModelError, format_unit, nearest, write_file
 from greybox.base.document import FigureBlock
 from greybox.base.figure import Figure
-from greybox.base.files import find_free_path
+from greybox.base.files import OUTPUTS_FILE, find_free_path, is_output_of, list_foreign
 from greybox.data.columns import ColumnChoice, merge_mappings
 from greybox.data.experiment import Experiment
 from greybox.discovery.findings import DiscoveryCode
@@ -38,6 +40,7 @@ from greybox.show.figures.discovery import plot_misfit_windows
 from greybox.show.figures.plotly_backend import height_on_page
 from greybox.show.figures.records import plot_inputs, plot_residual, plot_run
 from greybox.show.printers.html import figure_content, say
+from greybox.simulation.kernel.c_compiler import find_cache_folder
 
 if TYPE_CHECKING:
     from greybox.extensions.app.command import StudyOnFile
@@ -182,6 +185,18 @@ def show_figure(figure: Figure) -> dict[str, Any]:
 
 STUDY_FILE, SCRIPT_FILE, MODEL_FILE, RECORDS_FOLDER = "study.toml", "repeat.py", "model.py", "records"
 LAST_FILE = "last.toml"
+EXPORTED = (
+    STUDY_FILE,
+    SCRIPT_FILE,
+    MODEL_FILE,
+    LAST_FILE,
+    "fit.json",
+    "report.html",
+    "discovery.json",
+    "discovery.html",
+)
+# What the app's exports are remembered as.
+EXPORTER = "app"
 """What an export is called, in its folder."""
 JOURNAL = "journal.jsonl"
 
@@ -382,6 +397,7 @@ class Workbench:
             raise DataError("export: no record yet, so there is no study to write; load one first")
         # Taken before anything is written: what changes meanwhile is not in the files.
         self._exported_session = self.session
+        self._settle_folder()
         # The study names files that are there on another day.
         copies = self._copy_records()
         session = self._with_exported_records(session)
@@ -399,16 +415,32 @@ class Workbench:
         if session.discovery is not None:
             files.append(session.discovery.save(self.folder / "discovery.json"))
             files.append(report(session.discovery, self.folder / "discovery.html"))
+        self._remember(files)
         return files
 
     def save_last(self) -> Path | None:
         """Write the study of a session that has changed since its last export; None where there is nothing to lose."""
         if not self.session.records or self.session is self._exported_session:
             return None
+        self._settle_folder()
         self._copy_records()
         session, target = self._with_exported_records(self.session), self.folder / LAST_FILE
-        to_python(session.model, self.folder / MODEL_FILE)
-        return write_file(target, self.study.write_study(session, target))
+        model = to_python(session.model, self.folder / MODEL_FILE)
+        self._remember([model, write_file(target, self.study.write_study(session, target))])
+        return target
+
+    def _settle_folder(self) -> None:
+        """Export to ``name-2``, ``name-3`` beside the folder where a file in it is none that the app wrote: nobody's work is replaced."""
+        first, memory = self.folder, find_cache_folder() / OUTPUTS_FILE
+        for count in itertools.count(2):
+            present = [path for path in map(self.folder.joinpath, EXPORTED) if os.path.lexists(path)]
+            if all(path.is_file() and is_output_of(path, EXPORTER, memory) for path in present):
+                return
+            self.folder, self._copies = first.with_name(f"{first.name}-{count}"), {}
+
+    def _remember(self, files: Iterable[Path]) -> None:
+        """Know these files for what the app wrote, when it exports again, in this session or in another."""
+        list_foreign(dict.fromkeys(files, ""), EXPORTER, find_cache_folder() / OUTPUTS_FILE)
 
     def close(self) -> None:
         """End what runs."""

@@ -327,3 +327,18 @@ def test_an_export_replaces_no_record_of_another_session(
     assert copy.name != name and copy.read_bytes() == (uploads / name).read_bytes()
     other.export()  # once more: no further copy
     assert len(list(before.iterdir())) == len(kept) + 1
+
+
+@pytest.mark.parametrize("name", ["model.py", "study.toml", "fit.json", "repeat.py"])
+def test_an_export_replaces_nothing_that_the_app_did_not_write(bench: Workbench, tmp_path: Path, name: str) -> None:
+    out = tmp_path / "out"
+    bench.export()
+    bench.export()  # its own files it replaces, in this session and in another
+    Workbench(bench.session, bench.study, out, workers=1).export()
+    assert bench.folder == out and not list(tmp_path.glob("out-*"))
+    (out / name).write_text("a person's own work")
+    bench.export()
+    assert (out / name).read_text() == "a person's own work"
+    assert bench.folder == tmp_path / "out-2" and (bench.folder / "study.toml").is_file()
+    bench.export()
+    assert not (tmp_path / "out-3").exists()
