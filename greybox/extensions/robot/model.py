@@ -86,7 +86,9 @@ def robot_model(
 def _take_over(model: Model, robot: Robot, identified: RobotIdentification, inverse: bool, creep: float) -> Model:
     """The model with the constants and the effects that were identified."""
     numbers = {joint.name: k for k, joint in enumerate(robot.axes, 1)}
-    model = model.start(**{b.name: b.value for b in identified.base})
+    values = {b.name: b.value for b in identified.base}
+    told = [replace(q, value=values[q.name], source="identified") if q.name in values else q for q in model.parameters]
+    model = replace(model, parameters=told)
     left_out = []
     for each in identified.effects:
         k = numbers[each.joint]

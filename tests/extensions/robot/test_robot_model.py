@@ -11,10 +11,10 @@ import pytest
 import greybox as gb
 from greybox.estimation import FitOptions
 from greybox.extensions.export.c_code import to_c
-from greybox.extensions.robot import Robot, read_robot, robot_model
+from greybox.extensions.robot import Robot, identify_robot, read_robot, robot_model
 from greybox.model import equations_text
 from greybox.simulation.kernel.c_compiler import find_compiler
-from tests.support.robots import CART_POLE, DOUBLE_PENDULUM, double_pendulum_torques, random_states, write
+from tests.support.robots import CART_POLE, DOUBLE_PENDULUM, double_pendulum_torques, joint_log, random_states, write
 
 VISCOUS, DRY, WIDTH = np.array([0.3, 0.2]), np.array([0.8, 0.4]), 0.05
 
@@ -68,6 +68,17 @@ def test_torques_and_accelerations_are_each_other_s_inverse(arm: Robot, tmp_path
             tau = inverse.system.output_function([], motion, p).full().ravel()
             rates = forward.system.rhs_function(np.concatenate([q, dq]), tau, p).full().ravel()
             assert rates == pytest.approx(np.concatenate([dq, ddq]), rel=1e-9)
+
+
+def test_what_was_identified_is_taken_over_and_an_axis_that_was_held_is_held(arm: Robot) -> None:
+    log = joint_log(viscous=(0.8, 0.0), dry=(0.0, 0.5), payload=0.4)
+    columns = {name: values for name, values in {**log.inputs, **log.outputs}.items() if not name.endswith("2")}
+    identified = identify_robot(arm, gb.Experiment("one", log.time, {}, columns))
+    model = robot_model(arm, identified, inverse=True)
+    assert [o.name for o in model.outputs] == ["tau1"] and model.parameter("Iyy1").source == "identified"
+    assert model.values["Iyy1"] == identified.base[-1].value
+    expected = {e.kind: e.value for e in identified.effects}
+    assert model.values["B1"] == expected.get("viscous_friction", 0.0)
 
 
 def test_equations_name_the_rigid_body(arm: Robot) -> None:
