@@ -480,10 +480,10 @@ class PredictionOptimum(Optimum):
             return misfits
         # An innovation over its standard deviation has the rms rmse / s: the s of all rows.
         weighed = np.concatenate([rows for rows, _ in self.residuals.rows])
-        scale = dict(
-            zip((o.name for o in self.problem.model.outputs), np.sqrt(np.nanmean(weighed**2, axis=0)), strict=True)
-        )
-        std = {n: float(m.rmse / scale[n]) for n, m in misfits.items() if scale[n] > 0}
+        counted = np.isfinite(weighed).sum(axis=0)
+        scale = np.sqrt(np.nansum(weighed**2, axis=0) / np.maximum(counted, 1))
+        rms = dict(zip((o.name for o in self.problem.model.outputs), scale.tolist(), strict=True))
+        std = {n: float(m.rmse / rms[n]) for n, m in misfits.items() if rms[n] > 0}
         noise = self.problem.noise
         levels = np.array(
             [std.get(o.name, level) for o, level in zip(self.problem.model.outputs, noise.std, strict=True)]
