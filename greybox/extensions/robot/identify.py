@@ -166,9 +166,10 @@ def identify_robot(
     robot, axes, findings = _match_axes(robot, logs)
     base = find_base_parameters(robot)
     log = _read_logs(base, logs, axes)
-    if not log.counts.any():
+    if not log.counts.any() or len(log.starts) < LEAST_BLOCKS:
         raise DataError(
-            f"robot {robot.name!r}: no axis moves for {LEAST_MOVING_ROWS} rows while its torque is measured; nothing can be fitted"
+            f"robot {robot.name!r}: no axis moves for {LEAST_MOVING_ROWS} rows while its torque is measured, or fewer than"
+            f" {LEAST_BLOCKS * LEAST_BLOCK_ROWS} rows are left between the ends; nothing can be fitted"
         )
     table = _fill_table(log, _weigh_description(base, prior))
     for joint, rows in zip(base.robot.axes, table.rows.sum(axis=1), strict=True):
@@ -478,8 +479,9 @@ class _Answer:
         Where the links are known, the inertia of each motor shows by itself: those that free links would carry come last.
         """
         base, B = self.base, self.table.base
-        inertia = [c for c in range(B, self.sums.size) if _kind_of(B, c)[1] is INERTIA]
-        effects = sorted({*self.chosen[B:], *inertia})
+        # What joints usually have takes part even where it is not sure: links would take its place.
+        beside = [c for c in range(B, self.sums.size) if _kind_of(B, c)[1] in (*USUAL, INERTIA)]
+        effects = sorted({*self.chosen[B:], *beside})
         whole = self.sums.take([*range(B), *effects])
 
         def fit(mixing: np.ndarray, described: float) -> BlockSolution:
@@ -522,10 +524,12 @@ class _Answer:
             x, y, z = (loaded.x[1:4] / mass).tolist()
             payload = Payload(base.robot.joints[-1].link, mass, std, interval, (x, y, z))
         if verdict is not RigidVerdict.OTHER:
-            x, deviations = (v[-len(effects) :] for v in (fits[verdict].x, fits[verdict].std))
-            for column, value, deviation in zip(effects, x, deviations, strict=True):
-                if column not in self.chosen and value > NAMED_DEVIATIONS * deviation:
-                    spelled = _spell(value, deviation, free.quantile)
+            best = fits[verdict]
+            x, deviations, is_open = (v[-len(effects) :] for v in (best.x, best.std, best.is_open))
+            for k, column in enumerate(effects):
+                is_motor = _kind_of(B, column)[1] is INERTIA and column not in self.chosen and not is_open[k]
+                if is_motor and x[k] > NAMED_DEVIATIONS * deviations[k]:
+                    spelled = _spell(x[k], deviations[k], free.quantile)
                     motors.append(self._make_effect(column, spelled, Grade.PROBABLE, 0.0, ""))
         return verdict, payload, findings, motors
 
