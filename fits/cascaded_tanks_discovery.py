@@ -19,7 +19,6 @@ from pathlib import Path
 import greybox as gb
 from fits.paper_page import markdown
 from fits.real_page import arguments, verdict_text, write
-from greybox.discovery.refinement import Refinement
 from models.cascaded_tanks import cascaded_tanks
 
 FILES = ("train.csv", "test.csv")
@@ -37,11 +36,10 @@ Say = Callable[[str], object]
 
 @dataclass(frozen=True)
 class Study:
-    """The discovery, what was found beyond it, the refit to the whole training record, and each member of the ambiguity set added:
+    """The discovery, the refit to the whole training record, and each member of the ambiguity set added:
     errors (V) on the training and the test record, by name."""
 
     discovery: gb.discovery.Discovery
-    refinement: Refinement
     refitted: gb.Fit
     base: gb.Fit
     beside: Mapping[str, tuple[float, float]]
@@ -58,11 +56,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     train, test = (gb.read_csv(folder / name, cascaded_tanks) for name in FILES)
     learn, judge = train.window(0, LEARN), train.window(LEARN, train.rows)
     discovery = gb.discover(cascaded_tanks, learn, validation=judge, on_message=say)
-    # `discover` has looked for smaller effects already, wherever more than noise was left.
-    refinement = discovery.refinement or gb.discovery.refine(
-        discovery.best, judge, plain=cascaded_tanks, on_message=say
-    )
-    refitted, base = (_refit(model, train, test) for model in (refinement.fit.model, cascaded_tanks))
+    refitted, base = (_refit(model, train, test) for model in (discovery.best.model, cascaded_tanks))
     beside, without = {}, {}
     for name in SET:
         if name not in [e.name for e in refitted.model.effects]:
@@ -71,7 +65,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     for name in [e.name for e in refitted.model.effects]:
         without[name] = _errors(gb.discovery.drop_effect(refitted, name, validation=test).smaller)
         say(f"without {name}: {without[name]}")
-    return Study(discovery, refinement, refitted, base, beside, without)
+    return Study(discovery, refitted, base, beside, without)
 
 
 def _refit(model: gb.Model, train: gb.Experiment, test: gb.Experiment) -> gb.Fit:
@@ -97,7 +91,7 @@ def section(s: Study) -> list[str]:
     ]
     return [
         "## Cascaded tanks",
-        verdict_text(s.discovery, s.refinement),
+        verdict_text(s.discovery),
         "Errors of the free run, refitted to the whole training record; the test record took no part in any choice:",
         markdown(["model", "training, V", "test, V"], rows),
         f"Beside what was found, {', '.join(like) or 'none of them'} change the training record by less than"

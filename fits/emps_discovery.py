@@ -23,7 +23,6 @@ from fits.paper_page import markdown
 from fits.real_page import arguments, verdict_text, write
 from greybox.data.noise.noise_model import NoiseModel
 from greybox.discovery.problem import DiscoveryProblem
-from greybox.discovery.refinement import Refinement
 from greybox.discovery.residual_noise import estimate_residual_noise
 from greybox.estimation.transcription.segments import split_into_arcs
 from models.emps import emps
@@ -50,7 +49,6 @@ class Study:
     to all arcs, by model; the free runs over both whole records by arc length of the fit; and what the test record's own constants are."""
 
     discovery: gb.discovery.Discovery
-    refinement: Refinement
     held_out: Mapping[str, np.ndarray]
     fits: Mapping[str, gb.Fit]
     runs: Mapping[float, tuple[float, float]]
@@ -65,8 +63,6 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     arcs, tested = _arcs(train), _arcs(test)
     learn, judge = arcs[: 2 * QUARTERS], arcs[2 * QUARTERS : 3 * QUARTERS]
     discovery = gb.discover(emps, learn, validation=judge, on_message=say)
-    # `discover` has looked for smaller effects already, wherever more than noise was left.
-    refinement = discovery.refinement or gb.discovery.refine(discovery.best, judge, plain=emps, on_message=say)
     # The answer has the small effects of a search whose noise is white; what it leaves remembers.
     noise = estimate_residual_noise(DiscoveryProblem.from_fit(discovery.best).to_candidate(discovery.best))
     held_out = {}
@@ -83,7 +79,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
         )
         runs[seconds] = _error(fitted.model, [train], WINDOWS[0]), _error(fitted.model, [test], WINDOWS[0])
         say(f"free run over all of it, constants from arcs of {seconds:.2f} s: {runs[seconds]} m")
-    return Study(discovery, refinement, held_out, fits, runs, _pushed(fits["both"].model, train), other_day, known)
+    return Study(discovery, held_out, fits, runs, _pushed(fits["both"].model, train), other_day, known)
 
 
 def _arcs(record: gb.Experiment) -> list[gb.Experiment]:
@@ -148,7 +144,7 @@ def section(s: Study) -> list[str]:
     arcs = ", ".join(f"{1e3 * e:.2f} mm ({titles[m]})" for m, e in s.test_arcs.items())
     return [
         "## EMPS: an electro-mechanical drive",
-        verdict_text(s.discovery, s.refinement),
+        verdict_text(s.discovery),
         f"Errors on arcs of {REPETITION / QUARTERS:.2f} s of a repetition that was kept back, mean over the {REPETITIONS} repetitions. The"
         " initial position and velocity of each arc are estimated from its first part, the error is that of the rest:",
         markdown(head, rows),
@@ -173,7 +169,7 @@ def _friction(fit: gb.Fit) -> list[str]:
 
 def verdict(s: Study) -> None:
     """Both effects are found, the offset vanishes beside them, and the error on arcs kept back is within the goal."""
-    named = {e.name for e in s.refinement.fit.model.effects}
+    named = {e.name for e in s.discovery.best.model.effects}
     assert set(MODELS["named"]) <= named, named
     old, new = _rms(s.held_out["old"]), _rms(s.held_out["named"])
     assert new[-1] <= GOAL, new

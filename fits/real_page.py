@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fits.paper_page import write_section
-from greybox.discovery.refinement import Refinement
 from greybox.discovery.result import Discovery
 
 PAGE = "real_data.md"
@@ -46,12 +45,6 @@ def write(folder: Path, name: str, parts: Sequence[str]) -> Path:
     return write_section(folder, name, "\n\n".join(parts), PAGE, TITLE)
 
 
-def verdict_text(discovery: Discovery, refinement: Refinement | None = None) -> str:
-    """The finding in its own words, then each further effect, as a list."""
-    lines = [f"`greybox discover` (verdict *{discovery.verdict}*): {discovery.story}"]
-    if refinement is not None:
-        lines += [f"- {step}" for step in refinement.steps] or [
-            "- `refine`: no other effect gains on records not used for it"
-        ]
-        lines.insert(1, "")
-    return "\n".join(lines)
+def verdict_text(discovery: Discovery) -> str:
+    """The finding in its own words."""
+    return f"`greybox discover` (verdict *{discovery.verdict}*): {discovery.story}"

@@ -19,7 +19,6 @@ from pathlib import Path
 import greybox as gb
 from fits.paper_page import markdown
 from fits.real_page import arguments, verdict_text, write
-from greybox.discovery.refinement import Refinement
 from models.silverbox import silverbox
 
 FILES = ("train_multisine.csv", "test_multisine.csv", "test_arrow.csv")
@@ -38,10 +37,9 @@ Say = Callable[[str], object]
 
 @dataclass(frozen=True)
 class Study:
-    """The discovery, what was found beyond it, and errors on the three test records: by hold, and by form of the damping."""
+    """The discovery, and errors on the three test records: by hold, and by form of the damping."""
 
     discovery: gb.discovery.Discovery
-    refinement: Refinement
     linear: Errors
     holds: Mapping[str, Errors]
     springs: Errors
@@ -50,7 +48,7 @@ class Study:
     @property
     def named(self) -> set[str]:
         """Every effect in the final model."""
-        return {e.name for e in self.refinement.fit.model.effects}
+        return {e.name for e in self.discovery.best.model.effects}
 
 
 def study(folder: Path, say: Say = lambda _: None) -> Study:
@@ -62,10 +60,6 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
         return tuple(gb.validate(model, t.with_hold(hold), skip=SKIP).misfit["y"].rmse for t in tests)  # type: ignore[arg-type]
 
     discovery = gb.discover(silverbox, train.window(*LEARN), validation=train.window(*JUDGE), on_message=say)
-    # `discover` has looked for smaller effects already, wherever more than noise was left.
-    refinement = discovery.refinement or gb.discovery.refine(
-        discovery.best, train.window(*JUDGE), plain=silverbox, on_message=say
-    )
     springs = _with(silverbox, SPRINGS)
     holds = {}
     for hold in HOLDS:
@@ -77,7 +71,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
         forms[form] = errors(gb.fit(moving + gb.effect(form), whole).model)
         say(f"{form}: {_millivolt(forms[form])} mV")
     linear = gb.fit(silverbox + gb.effect("band_limited_input"), train.window(*LEARN))
-    return Study(discovery, refinement, errors(linear.model), holds, errors(gb.fit(moving, whole).model), forms)
+    return Study(discovery, errors(linear.model), holds, errors(gb.fit(moving, whole).model), forms)
 
 
 def _with(model: gb.Model, names: tuple[str, ...]) -> gb.Model:
@@ -100,7 +94,7 @@ def section(s: Study) -> list[str]:
     rows += [["*published, best*", *_millivolt(PUBLISHED)]]
     return [
         "## Silverbox: an electronic circuit",
-        verdict_text(s.discovery, s.refinement),
+        verdict_text(s.discovery),
         "Errors on the test records, which took no part in choosing effects or constants:",
         markdown(head, rows),
         "What the input does between samples was the first pick of the search. The members of the damping family differ by less than the"
@@ -111,7 +105,7 @@ def section(s: Study) -> list[str]:
 
 def verdict(s: Study) -> None:
     """The input first, then spring, offset and the family of damping; errors within the goal on all three test records."""
-    first = [e.name for e in s.refinement.fit.model.effects][:2]
+    first = [e.name for e in s.discovery.best.model.effects][:2]
     assert first == ["band_limited_input", "cubic_stiffness"], first
     assert s.named & {"input_offset", "constant_load"}, s.named
     assert s.named & set(DAMPING), s.named

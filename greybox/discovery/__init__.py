@@ -21,14 +21,11 @@ from greybox.discovery.localisation import (
 from greybox.discovery.pipeline import discover
 from greybox.discovery.policy import (
     DiscoveryPolicy,
-    RefinementPolicy,
-    SearchBudget,
     SelectionPolicy,
 )
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
-from greybox.discovery.refinement import Refinement, RefinementStep, refine
 from greybox.discovery.result import Discovery, RankedCandidate, load_discovery
-from greybox.discovery.selection import SelectionStep, StepKind
+from greybox.discovery.search import SelectionStep, StepKind
 from greybox.discovery.surrogate import Surrogate, SurrogateTone
 
 __all__ = [
@@ -49,14 +46,10 @@ __all__ = [
     "Parity",
     "RankedCandidate",
     "RankedSite",
-    "Refinement",
-    "RefinementPolicy",
-    "RefinementStep",
     "RemainingError",
     "ResidualLocalisation",
     "ResidualSignal",
     "ResidualSpectrum",
-    "SearchBudget",
     "SearchFailure",
     "SearchStage",
     "SelectionPolicy",
@@ -72,6 +65,5 @@ __all__ = [
     "family_of",
     "load_discovery",
     "localise_residual",
-    "refine",
     "try_effect",
 ]

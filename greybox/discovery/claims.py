@@ -31,10 +31,9 @@ from greybox.discovery.decision import Conclusion, Decision, Grade, Verdict, mak
 from greybox.discovery.disturbance_sites import SiteKind, list_disturbance_sites, site_label
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.laws.terms import claimed_name
-from greybox.discovery.problem import FittedCandidate
-from greybox.discovery.residual_noise import SECOND_BRANCH, has_memory, is_shape_correction
+from greybox.discovery.residual_noise import SECOND_BRANCH, has_memory
 from greybox.discovery.surrogate_effects import CLOCK, CURVE, LINEAR_DYNAMICS, TONE
-from greybox.discovery.table import Draws, FittedSet, key_of
+from greybox.discovery.table import BlockSums, Draws
 from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import AT
@@ -83,7 +82,7 @@ class Claim(ReadOnly):
     rival
         What wins most often where the claim does not hold: "" where it always does.
     equals
-        Of a name: effects of other families that do the same in its place. No record of this kind separates them.
+        Of a name: effects that neither contain it nor are contained that do the same in its place. No record of this kind separates them.
     has_twin
         Whether one of these does it with no more constants: neither is certain. A richer one is no objection to a simple one.
     joint
@@ -261,20 +260,6 @@ class Weights:
     def share(self, holds: Sequence[bool]) -> float:
         """Share of the resamples won by sets of which something ``holds`` (S,)."""
         return float(self.totals @ np.array(holds, float))
-
-
-def find_winner(draws: Draws, answer: FittedCandidate) -> FittedCandidate:
-    """The set that won most often among those whose effects have names; the answer where none won more often than it.
-
-    A curve that wins says that no name is right: it takes no place, and leaves the names little weight. The plain model takes the place
-    of an answer that follows the records no better.
-    """
-    totals = Weights.of(draws).totals if draws.sets else np.zeros(0)
-    sets = [s.candidate for s in draws.sets]
-    won = {k: totals[k] for k, c in enumerate(sets) if c.effects and not any(map(is_shape_correction, c.effects))}
-    present = max((t for k, t in won.items() if key_of(sets[k]) == key_of(answer)), default=0.0)
-    best = max(won, key=lambda k: won[k], default=None)
-    return answer if best is None or won[best] <= present else sets[best]
 
 
 def weigh_claims(
@@ -503,14 +488,14 @@ class _Context:
         )
 
     def _equals(self, best: int, form: EffectForm) -> dict[int, str]:
-        """The effects of other families with which a set that is good does without this one, as often as not, by the set's number."""
+        """The effects, no relatives, with which a set that is good does without this one, as often as not, by the set's number."""
         rest = Counter(f.name for f in self.forms[best]) - Counter([form.name])
         rounds = self.draws.good[:, best]
         equals = {}
         for k, forms in enumerate(self.forms):
             others = list((Counter(f.name for f in forms) - rest).elements())
             is_exchange = len(forms) == len(self.forms[best]) and len(others) == 1
-            if not is_exchange or not others[0] or others[0] in {form.name, *form.family}:
+            if not is_exchange or not others[0] or _are_related(others[0], form.name):
                 continue
             # A law of more constants does what one of fewer does: that is no objection.
             sets = self.draws.sets
@@ -541,7 +526,7 @@ class _Context:
         if not nested:  # not even the plain model: its run goes astray, which is infinitely wrong
             return 1.0, 1.0, self.outputs[0]
         without = max(nested, key=lambda k: (len(self.forms[k]), -float(np.median(self.draws.errors[:, k]))))
-        before, after = (_judged_rms(sets[k]) for k in (without, best))
+        before, after = (_judged_rms(sets[k].sums) for k in (without, best))
         shares = 1 - after / np.maximum(before, TINY)
         output = int(np.nanargmax(np.where(before > 0, shares, -np.inf)))
         share, name = float(np.clip(shares[output], 0.0, 1.0)), self.outputs[output]
@@ -550,9 +535,25 @@ class _Context:
         return share, float(taken / max(sets[best].sums.reach[output], TINY)), name
 
 
-def _judged_rms(fitted: FittedSet) -> np.ndarray:
+def _are_related(one: str, other: str) -> bool:
+    """Whether an effect contains or approaches another, through others too: what does the same as its richer relative is no tie."""
+    return one == other or one in _list_simpler(other) or other in _list_simpler(one)
+
+
+@lru_cache(maxsize=256)
+def _list_simpler(name: str) -> frozenset[str]:
+    base = name.partition(AT)[0]
+    direct = {simpler for e in all_effects() if e.name == base for simpler in (*e.parents, *e.approaches)}
+    return frozenset(direct | {further for simpler in direct for further in _list_simpler(simpler)})
+
+
+def measure_share(before: BlockSums, after: BlockSums) -> float:
+    """Share of the rms error on the records that judge that one set takes beside another, in the output of which it takes most."""
+    return float(np.max(1 - _judged_rms(after) / np.maximum(_judged_rms(before), TINY)))
+
+
+def _judged_rms(sums: BlockSums) -> np.ndarray:
     """Rms error of the free run by output (ny,) on the records that judge, over the noise."""
-    sums = fitted.sums
     squares, counts = (each[sums.is_judging].sum(axis=0) for each in (sums.square, sums.count))
     return np.asarray(np.sqrt(squares / np.maximum(counts, 1)))
 

@@ -109,7 +109,7 @@ def try_effect(
     policy = policy or DiscoveryPolicy()
     if not fit.model.has_equations:
         return _try_at_plant(fit, candidate, as_records(validation), policy)
-    problem = DiscoveryProblem.from_fit(fit, policy.budget)
+    problem = DiscoveryProblem.from_fit(fit)
     without = problem.to_candidate(fit)
     scales = estimate_scales(without)
     added = tailor_to_record(effect(candidate) if isinstance(candidate, str) else candidate, scales)
@@ -180,7 +180,7 @@ def drop_effect(
         If the smaller model cannot be simulated.
     """
     policy = policy or DiscoveryPolicy()
-    problem = DiscoveryProblem.from_fit(fit, policy.budget)
+    problem = DiscoveryProblem.from_fit(fit)
     larger = problem.to_candidate(fit)
     refit = problem.refit_without(larger, name)
     if refit is None:

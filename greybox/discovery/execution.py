@@ -52,8 +52,6 @@ class SearchStage(StrEnum):
     """Where and when a model falls short cannot be estimated."""
     SURROGATE = "surrogate"
     """No curve or tone can be fitted."""
-    REFINEMENT = "refinement"
-    """Further effects cannot be looked for."""
     EVIDENCE = "evidence"
     """Rivals of an answer cannot be fitted, or its claims cannot be weighed."""
     FALSE_NAMES = "false_names"

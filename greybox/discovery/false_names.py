@@ -47,10 +47,11 @@ from greybox.discovery.disturbance_sites import (
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.holdout import HoldoutScores, measure_structure
+from greybox.discovery.linear import promise_decrease
 from greybox.discovery.problem import FittedCandidate
-from greybox.discovery.selection import HOPELESS_COST
+from greybox.discovery.search import HOPELESS_COST
 from greybox.discovery.surrogate_effects import SOURCE
-from greybox.discovery.table import RIDGE, FitTable, FittedSet, LinearisedSet, draw_sets, linearise_set
+from greybox.discovery.table import FitTable, FittedSet, LinearisedSet, draw_sets, linearise_set
 from greybox.model import Effect, Model
 from greybox.model.effects.placement import AT
 from greybox.model.signals import Expression, Input, NamedValues, Parameter
@@ -276,7 +277,7 @@ def _screen(
             respond(line, site, np.concatenate(courses, axis=1)) / candidate.problem.noise.std[:, None]
             for line, courses in zip(lines, zip(*drawn, strict=True), strict=False)
         ]
-        promised = _promised_decrease(slopes, responses).reshape(at_once, -1)
+        promised = promise_decrease(slopes, responses).decrease.reshape(at_once, -1)
         for courses, each in zip(drawn, promised, strict=True):
             best = int(np.argmax(each))
             yield _Start([w[:, best] for w in courses], float(each[best]) / max(cost, TINY))
@@ -305,35 +306,6 @@ def _refit(
     is_cut, executor.skipped = executor.skipped > skipped, skipped
     within = HoldoutScores(wide, replace(scores.validation, records=judging))
     return within, None if is_cut else [fit for fit in fits if fit is not None]
-
-
-def _promised_decrease(slopes: LinearisedSet, responses: Sequence[np.ndarray]) -> np.ndarray:
-    """By how much the sum of squares of the fitted records falls (K,) in one Gauss-Newton step with each of the responses (N, ny, K)."""
-    n, count = slopes.candidate.variables.size, responses[0].shape[2]
-    hessian, gradient = RIDGE * np.eye(n), np.zeros(n)
-    mixed, square, pull = np.zeros((n, count)), np.full(count, RIDGE), np.zeros(count)
-    for e in range(slopes.fitted):
-        columns, present = slopes.columns(e), slopes.present[e]
-        j, r, g = slopes.jacobians[e][present], slopes.residuals[e][present], responses[e][present]
-        hessian[np.ix_(columns, columns)] += j.T @ j
-        gradient[columns] += j.T @ r
-        mixed[columns] += j.T @ g
-        square += (g**2).sum(axis=0)
-        pull += g.T @ r
-    if not (np.isfinite(mixed).all() and np.isfinite(square).all()):
-        usable = np.isfinite(mixed).all(axis=0) & np.isfinite(square)
-        mixed, square, pull = np.where(usable, mixed, 0.0), np.where(usable, square, 1.0), np.where(usable, pull, 0.0)
-    if not (
-        np.isfinite(hessian).all() and np.isfinite(gradient).all()
-    ):  # a run that nearly goes astray: nothing is promised
-        return np.zeros(count)
-    # In units in which each unknown alone has a curvature of one: beside the curvatures of a steep run the ridge is lost in rounding.
-    unit = 1 / np.sqrt(np.diag(hessian))
-    scaled = hessian * np.outer(unit, unit) + n * np.finfo(float).eps * np.eye(n)
-    # The Schur complement of the constants: (g'r - g'J H^-1 J'r)^2 / (g'g - g'J H^-1 J'g).
-    absorbed = unit[:, None] * np.linalg.solve(scaled, unit[:, None] * np.column_stack([gradient, mixed]))
-    pull = pull - mixed.T @ absorbed[:, 0]
-    return np.asarray(pull**2 / np.maximum(square - (mixed * absorbed[:, 1:]).sum(axis=0), TINY))
 
 
 def _draw_signals(signal: EffectSignal, time: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:

@@ -10,15 +10,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from greybox.base import Check, Printable
+from greybox.base import Printable
 from greybox.base.json_shape import Unbounded
 from greybox.base.linear_algebra import eliminate
 from greybox.base.numerics import SAME_ERROR, TINY
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import BoundDirection, NoiseModel, fit_autoregression, join_series
 from greybox.discovery.execution import SearchStage
-from greybox.discovery.findings import DiscoveryRule
-from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.estimation.errors import errors_by_block
 from greybox.estimation.fit import fit as estimate
@@ -476,77 +474,10 @@ def _mean_square(residuals: Sequence[np.ndarray]) -> float:
 
 # Rms over noise on validation records below which there is no gap to explain.
 VISIBLE_RMS = 1.05
+# Share by which the rms error there must fall to count.
+VALIDATION_SHARE = 0.05
 # Share of that gap below which a model explains nothing there; above it, reaching the noise is enough.
 PARTIAL_SHARE = 0.5
-
-
-def reject_on_validation(
-    scores: HoldoutScores,
-    baseline: FittedCandidate,
-    selected: FittedCandidate,
-    candidates: Sequence[FittedCandidate],
-    policy: SelectionPolicy,
-) -> tuple[FittedCandidate, tuple[Check, ...]]:
-    """``selected``, or another candidate where ``selected`` explains less than half of the gap on the validation records.
-
-    The likeliest of ``candidates`` that explains most of the gap replaces it. If none does, ``selected`` remains, and its effect will
-    be called unknown.
-
-    Returns
-    -------
-    tuple
-        The candidate to go on with, and the checks that this rests on.
-    """
-    before, problem = scores.score(baseline), scores.problem
-
-    def explained_share(candidate: FittedCandidate) -> float:
-        after = scores.score(candidate)
-        return (before - after) / (before - 1) if np.isfinite(after) else -np.inf
-
-    checks: list[Check] = []
-
-    def explains(candidate: FittedCandidate, rule: DiscoveryRule, limit: float) -> bool:
-        checks.append(Check.at_least(rule, explained_share(candidate), limit, " + ".join(candidate.effects)))
-        return checks[-1].passed
-
-    partly, mostly = DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED, DiscoveryRule.HOLDOUT_EXPLAINED
-    if before <= VISIBLE_RMS or explains(selected, partly, PARTIAL_SHARE):
-        return selected, tuple(checks)
-    ranked = sorted(candidates, key=lambda c: c.criterion)
-    others = [c for c in ranked if c.effects and c.effects != selected.effects]
-    for candidate in others[: problem.budget.holdout_candidates]:
-        better = problem.converge(candidate)
-        if explains(better, mostly, policy.holdout_share):
-            return better, tuple(checks)
-    return selected, tuple(checks)
-
-
-def drop_on_validation(
-    scores: HoldoutScores, selected: FittedCandidate, candidates: Sequence[FittedCandidate], least_share: float
-) -> tuple[FittedCandidate, tuple[Check, ...]]:
-    """``selected``, or a part of its effects that follows the validation records better.
-
-    An effect that is in the records takes something away wherever it shows: one with which the error on records that were not fitted is
-    larger by ``least_share`` only bends the model to the estimation records.
-
-    Returns
-    -------
-    tuple
-        The candidate to go on with, and the checks that this rests on.
-    """
-    checks: list[Check] = []
-    while len(selected.effects) > 1:
-        smaller = [c for c in candidates if c.effects and set(c.effects) < set(selected.effects)]
-        best = min(smaller, key=scores.score, default=None)
-        if best is None:
-            break
-        dropped = " + ".join(name for name in selected.effects if name not in best.effects)
-        allowed = scores.score(best) / (1 - least_share)
-        checks.append(Check.at_most(DiscoveryRule.VALIDATION_DECREASE, scores.score(selected), allowed, dropped))
-        if checks[-1].passed:
-            break
-        selected = best
-    return selected, tuple(checks)
 
 
 # Correlation from sample to sample up to which a residual may be the noise of a sensor, where nobody knows the noise.

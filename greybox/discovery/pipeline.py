@@ -20,28 +20,19 @@ from greybox.base import DataError, Finding, ModelError, Severity
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.identity import find_shared_readings, refuse_repeated
 from greybox.data.noise.growing import GrowingNoise
-from greybox.discovery import residual_noise
+from greybox.discovery.answer import SearchAnswer, make_answer
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
-from greybox.discovery.conclusion import add_test_error, conclude
+from greybox.discovery.conclusion import add_test_error, conclude, leave_out_small
 from greybox.discovery.decision import judge_validation_only
 from greybox.discovery.execution import PARALLEL_SECONDS, RefitExecutor, RefitJournal, SearchStage
 from greybox.discovery.findings import DiscoveryCode
-from greybox.discovery.holdout import (
-    HoldoutScores,
-    ValidationSet,
-    compare_holdout_errors,
-    drop_on_validation,
-    reject_on_validation,
-    validate_candidate,
-)
-from greybox.discovery.judged_selection import JudgedSelection
+from greybox.discovery.holdout import HoldoutScores, ValidationSet
 from greybox.discovery.localisation import localise_residual
 from greybox.discovery.plant_search import search_plant
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem, FitSettings, FittedCandidate, clean_cost_limit
-from greybox.discovery.refinement import VALIDATION_SHARE
 from greybox.discovery.result import Discovery
-from greybox.discovery.selection import MessageCallback, StepKind, StepwiseSelection, checks_of
+from greybox.discovery.search import EffectSearch, MessageCallback
 from greybox.discovery.table import FitTable
 from greybox.estimation import Fit, FitOptions
 from greybox.estimation.findings import EstimationCode
@@ -237,7 +228,6 @@ def discover(
             _as_tuple(quiet),
             options,
             refits,
-            policy.budget,
             given=tuple(effect.name for effect in model.effects),
             user_settings=FitSettings(dict(noise or {}), _as_tuple(quiet), options),
         )
@@ -247,27 +237,23 @@ def discover(
         else:
             listed = list_candidates(model, scales, problem.failures, effects, without, beside)
         findings: tuple[Finding, ...] = ()
-        judged = _select_and_judge(problem, listed.effects, scales, validation_set, policy, on_message)
-        if (
-            not refits.is_late
-            and _shows_on_validation_only(judged)
-            and (problem.options.at_rest or _explains_all(judged))
-        ):
+        answer = _search(problem, listed.effects, scales, validation_set, policy, on_message, further)
+        if not refits.is_late and _is_to_learn(answer):
             on_message(str(Finding(DiscoveryCode.LEARNING_FROM_VALIDATION)))
             half = min(record.rows for record in validation_set.records) // 2
             first_halves = tuple(record.window(0, half) for record in validation_set.records)
             wider = replace(problem, experiments=(*problem.experiments, *first_halves))
             second_halves = ValidationSet(validation_set.records, half)
-            judged = _select_and_judge(wider, listed.effects, scales, second_halves, policy, on_message)
+            answer = _search(wider, listed.effects, scales, second_halves, policy, on_message, further, True)
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
-        findings = (*findings, *_tell_if_errors_grow(judged.baseline, problem.options))
-        result = conclude(judged, listed.effects, test_set, findings, further, problem if laws else None)
+        findings = (*findings, *_tell_if_errors_grow(answer.search.baseline, problem.options))
+        result = conclude(answer, test_set, findings, problem if laws else None)
         result = add_test_error(result, problem, test_set)
-        witnesses = (*judged.selection.problem.experiments, *judged.scores.validation.records)
+        witnesses = (*answer.problem.experiments, *answer.validation.records)
         compare = partial(follow_conditions, result.extended, witnesses, problem.options)
         trends = problem.failures.attempt(SearchStage.EVIDENCE, tuple(e["name"] for e in result.effects), compare, ())
         result = replace(result, findings=(*result.findings, *trends))
-        fitted = {name for key in judged.selection.fits if len(key) == 1 for name in key}
+        fitted = {fit.effects[0] for fit in problem.fitted if len(fit.effects) == 1}
         failed = failed_candidates(listed.effects, problem.failures, fitted)
         not_reached: dict[str, Finding] = {}
         if refits.skipped:
@@ -275,7 +261,8 @@ def discover(
             result = replace(
                 result, findings=(Finding(DiscoveryCode.TIME_OVER, Severity.WARNING, "", values), *result.findings)
             )
-            missed = [e.name for e in listed.effects if e.name not in fitted and e.name not in failed]
+            seen = fitted | answer.search.screened | failed.keys()
+            missed = [e.name for e in listed.effects if e.name not in seen]
             not_reached = {name: Finding(DiscoveryCode.NOT_REACHED, subject=name) for name in missed}
         return replace(
             result,
@@ -294,110 +281,45 @@ def _estimate_scales(problem: DiscoveryProblem) -> Scales:
     return estimate_scales(plain).with_periods(plain.model, periods)
 
 
-def _select_and_judge(
+def _search(
     problem: DiscoveryProblem,
     candidates: Sequence[Effect],
     scales: Scales,
     validation: ValidationSet,
     policy: DiscoveryPolicy,
     on_message: MessageCallback,
-) -> JudgedSelection:
-    """Noise, screening, selection and holdout."""
+    further: bool,
+    is_wider: bool = False,
+) -> SearchAnswer:
+    """The set that wins on the table of all that was tried."""
     values = {"misfit": problem.baseline.noise_ratio, "bounded": problem.baseline.is_noise_bounded}
     on_message(str(Finding(DiscoveryCode.BASELINE_FITTED, values=values)))
-    selection = StepwiseSelection(problem, candidates, scales, policy, on_message)
-    if residual_noise.is_noise_known(problem.baseline.problem.noise, bool(problem.quiet)):
-        selected = selection.select()
-    else:
-        selection, selected = _select_with_unknown_noise(selection)
-    checks, scores = list(checks_of(selection.steps)), HoldoutScores(selection.problem, validation)
-    if selected.effects:
-        fits = list(selection.fits.values())
-        selected, of_holdout = reject_on_validation(scores, selection.baseline, selected, fits, policy.selection)
-        checks += of_holdout
-        selected, of_holdout = drop_on_validation(scores, selected, fits, VALIDATION_SHARE)
-        checks += of_holdout
-    rivals = selection.find_rivals(selected) if selected.effects else []
-    base = validate_candidate(selection.problem, selection.baseline, validation)
-    final = selection.shape_corrections.get(frozenset(selected.effects), selected)
-    attempt = problem.failures.attempt
-    finish = partial(validate_candidate, selection.problem, final, validation)
-    best = attempt(SearchStage.HOLDOUT, final.effects, finish, None) if selected.effects else base
-    if best is None:  # it fails on other records than those that it was fitted to
-        selected, rivals, best = selection.baseline, [], base
-    holdout = compare_holdout_errors(base, best)
-    return JudgedSelection(
-        selection, selected, rivals, base, best, holdout, FitTable(scores), problem.model, tuple(checks)
-    )
+    table = FitTable(HoldoutScores(problem, validation))
+    search = EffectSearch(problem, table, candidates, scales, policy, on_message, further)
+    plain = make_answer(search, search.baseline)
+    # What only the records that judge show is learnt from them: a search would explain it by what these cannot tell from it.
+    is_clean = plain.plain.per_sample <= clean_cost_limit(plain.plain.count)
+    if not candidates or (is_clean and not is_wider and _is_to_learn(plain)):
+        return plain
+    return make_answer(search, leave_out_small(table, search.run()))
 
 
-# Times that the noise is read off the residual and the selection repeated.
-RESIDUAL_NOISE_ROUNDS = 2
-
-
-def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSelection, FittedCandidate]:
-    """The selection with the noise that the best single effect leaves, and again with the one that the selected model leaves."""
-    policy, on_message = selection.policy, selection.on_message
-    level_known = residual_noise.is_level_known(selection.baseline.problem.noise)
-    selected = selection.select() if level_known else selection.select_first()
-    for _ in range(RESIDUAL_NOISE_ROUNDS):
-        if selection.problem.executor.is_late:
-            break
-        noise = residual_noise.estimate_residual_noise(selected)
-        if residual_noise.is_same_noise(noise, selected.problem.noise):
-            if level_known:
-                break
-            on_message(str(Finding(DiscoveryCode.NOISE_WHITE)))
-        else:
-            colours = [list(colour.reflection) for colour in noise.colour]
-            values = {"colours": colours, "std": noise.std.tolist()}
-            on_message(str(Finding(DiscoveryCode.NOISE_FROM_RESIDUAL, subject=selected.model.title, values=values)))
-        plain = selection.problem
-        problem = replace(plain, noise=noise, model=selection.baseline.model, options=plain.refit_options)
-        previous = selection
-        # Beside another effect one that is nothing alone may be much: single effects put none out of the running.
-        leading = _leading_candidates(selection)
-        is_full = any(step.kind is StepKind.ADD for step in selection.steps)
-        selection = StepwiseSelection(
-            problem,
-            leading if is_full else selection.candidates,
-            selection.scales,
-            policy,
-            on_message,
-            selection.fits,
-            {e.name for e in leading},
-        )
-        before, selected = selected, selection.select()
-        if problem.executor.is_late:  # cut short: what the round before had found stands
-            return previous, before
-        if before.effects == selected.effects:
-            break
-    return selection, selected
-
-
-# Sets of effects, best first, whose effects remain candidates when the selection is repeated.
-CARRIED_SETS = 8
-
-
-def _leading_candidates(selection: StepwiseSelection) -> list[Effect]:
-    """The candidates that did best, in catalogue order, with their parents and children: the others are out of the running."""
-    ranked = sorted(selection.fits.values(), key=lambda fit: fit.criterion)
-    names = {name for fit in ranked[:CARRIED_SETS] for name in fit.effects}
-    family = names | {parent for e in selection.candidates if e.name in names for parent in e.parents}
-    return [e for e in selection.candidates if e.name in family]
-
-
-def _shows_on_validation_only(judged: JudgedSelection) -> bool:
+def _shows_on_validation_only(answer: SearchAnswer) -> bool:
     """Whether the plain model explains the estimation records and fails on the validation records."""
-    if judged.selected.effects:
+    if answer.candidate.effects:
         return False
-    return judge_validation_only(judged.baseline, judged.holdout, judged.noise_limits).passed
+    return judge_validation_only(answer.plain, answer.holdout, answer.noise_limits).passed
 
 
-def _explains_all(judged: JudgedSelection) -> bool:
+def _is_to_learn(answer: SearchAnswer) -> bool:
+    """Whether the search is to learn from the validation records as well."""
+    return _shows_on_validation_only(answer) and (answer.problem.options.at_rest or _explains_all(answer))
+
+
+def _explains_all(answer: SearchAnswer) -> bool:
     """Whether one set of constants of the plain model explains the records that were fitted and those that judge."""
-    problem = judged.selection.problem
-    everywhere = replace(problem, experiments=(*problem.experiments, *judged.scores.validation.records))
+    problem = answer.scores.problem
+    everywhere = replace(problem, experiments=(*problem.experiments, *answer.validation.records))
     fitted = problem.failures.attempt(SearchStage.HOLDOUT, (), lambda: everywhere.baseline, None)
     return fitted is not None and fitted.per_sample <= clean_cost_limit(fitted.count)
 

@@ -224,9 +224,8 @@ def search_plant(
     # The error on the test records is that of the plant.
     kept = [f for f in answer.findings if f.code != DiscoveryCode.TEST_ERROR]
     findings = [*kept, *_remarks(model, view, answer, best, runs)]
-    refinement = None if answer.refinement is None else replace(answer.refinement, fit=best)
     holdout = compare_holdout_errors(base, best)
-    answer = replace(answer, base=base, best=best, holdout=holdout, refinement=refinement, findings=tuple(findings))
+    answer = replace(answer, base=base, best=best, holdout=holdout, findings=tuple(findings))
     if not test or not isinstance(best.model, PlantModel):
         return answer
     return quote_test_error(answer, tested, tested if best is base else run_test(best))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -18,62 +17,14 @@ from greybox.base.findings import Finding
 from greybox.discovery.candidates import family_of
 from greybox.discovery.claims import LEAST_SHARE, Weights
 from greybox.discovery.decision import Grade
-from greybox.discovery.execution import SearchStage
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.residual_noise import is_shape_correction
-from greybox.discovery.rivals import RIVAL_ITERATIONS, RivalSearch
-from greybox.discovery.selection import list_extension_starts
-from greybox.discovery.surrogate import QUICK_ITERATIONS
-from greybox.discovery.table import Draws, FitTable, draw_sets
-from greybox.model import Effect, Model
+from greybox.discovery.table import Draws, draw_sets
+from greybox.model import Model
 from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import AT
-from greybox.model.parts import PARTS, Occurrence, RigParts, read_parts
-
-# The sets that are fitted because they are usual: single effects, the likeliest first, and pairs of the best of them with another. A set
-# that nobody fitted cannot come first.
-MOST_SINGLES, MOST_PAIRS = 8, 6
-# Classes of which every effect is fitted to the end.
-EXPECTED = (Occurrence.USUAL, Occurrence.COMMON)
-
-
-def refit_usual(search: RivalSearch, table: FitTable, parts: RigParts) -> list[FittedCandidate]:
-    """The usual single effects and pairs of a rig, fitted with the effort that any rival gets, and put on the table."""
-    expected = [e for e in search.candidates if parts.occurrence(e) in EXPECTED]
-    expected.sort(key=lambda e: -parts.occurrence(e).probability)
-    singles = {
-        e.name: (e, fit) for e in expected[:MOST_SINGLES] if (fit := _refit_beside(search, table, search.baseline, e))
-    }
-    # The best beside all others, the usual ones first.
-    ranked = sorted(singles.values(), key=lambda single: single[1].cost)
-    pairs = [
-        (fit, other)
-        for (effect, fit), (other, _) in combinations(ranked, 2)
-        if other.name not in family_of(effect.name, search.candidates)
-    ]
-    pairs = sorted(pairs[: 2 * MOST_PAIRS], key=lambda pair: -parts.occurrence(pair[1]).probability)
-    made = [_refit_beside(search, table, fit, other) for fit, other in pairs[:MOST_PAIRS]]
-    return [fit for _, fit in singles.values()] + [fit for fit in made if fit is not None]
-
-
-def _refit_beside(
-    search: RivalSearch, table: FitTable, rest: FittedCandidate, effect: Effect
-) -> FittedCandidate | None:
-    """A fitted model with one effect more, from where it is known or from the usual starts; None where it fails."""
-
-    def refit() -> FittedCandidate | None:
-        problem = search.problem
-        known = table.get((*rest.effects, effect.name))
-        starts = list_extension_starts(rest, effect, search.scales) if known is None else []
-        quick = known or problem.refit_best(rest.model + effect, starts, 0, QUICK_ITERATIONS, rest, refines=False)
-        return quick and problem.converge(quick, RIVAL_ITERATIONS)
-
-    made: FittedCandidate | None = search.problem.failures.attempt(
-        SearchStage.EVIDENCE, (*rest.effects, effect.name), refit, None
-    )
-    table.add(made)
-    return made
+from greybox.model.parts import PARTS, RigParts, read_parts
 
 
 def weigh_set(model: Model, given: Collection[str], parts: RigParts) -> float:
@@ -196,7 +147,13 @@ class _Order:
         whole = set(self.answer.names)
         named = [k for k in named if not (set(sets[k].names) < whole and probable & (whole - set(sets[k].names)))]
         good, best = self.draws.good.mean(axis=0), max((shares[k] for k in named), default=0.0)
-        return [k for k in named if good[k] >= EQUAL_SHARE or (self.is_open and shares[k] >= ENOUGH * best)]
+        return [
+            k
+            for k in named
+            if good[k] >= EQUAL_SHARE
+            or sets[k].names == self.answer.names
+            or (self.is_open and shares[k] >= ENOUGH * best)
+        ]
 
     def choose(self, equal: Sequence[int], parts: RigParts) -> int | None:
         """Of the most usual sets the one that wins most often among themselves; None where the rig can have none of them."""

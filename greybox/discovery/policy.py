@@ -21,26 +21,6 @@ class SelectionPolicy:
 
 
 @dataclass(frozen=True)
-class SearchBudget:
-    """How much is tried, which is what a discovery spends its time on."""
-
-    beam_width: int = 6
-    """First effects beside which a second one is tried: two effects may explain together what neither explains alone."""
-    most_effects: int = 3
-    """Effects in a model at most."""
-    holdout_candidates: int = 8
-    """Other sets of effects that are scored on the validation records where the chosen one fails there."""
-
-
-@dataclass(frozen=True)
-class RefinementPolicy:
-    """When a further, small effect is accepted on measured records, whose residual hardly ever reaches the noise."""
-
-    promising_candidates: int = 8
-    """Candidates that are refitted for each step."""
-
-
-@dataclass(frozen=True)
 class DiscoveryPolicy:
     """The decision numbers of all stages of a discovery.
 
@@ -54,7 +34,3 @@ class DiscoveryPolicy:
 
     selection: SelectionPolicy = field(default_factory=SelectionPolicy)
     """When an effect is accepted and named."""
-    budget: SearchBudget = field(default_factory=SearchBudget)
-    """How much is tried."""
-    refinement: RefinementPolicy = field(default_factory=RefinementPolicy)
-    """When a further, small effect is accepted on measured records (`refine`)."""

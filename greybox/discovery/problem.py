@@ -16,7 +16,6 @@ from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.discovery.execution import NOT_SIMULATED, FailureLog, RefitExecutor, RefitJob, RefitOutcome, SearchStage
 from greybox.discovery.laws.terms import claimed_name, is_law
-from greybox.discovery.policy import SearchBudget
 from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions, Transcription
@@ -194,8 +193,6 @@ class DiscoveryProblem:
         Options of every fit.
     executor
         Where refits run and where they are kept.
-    budget
-        How many starting points and iterations a refit has.
     failures
         What failed so far, and why.
     given
@@ -212,7 +209,6 @@ class DiscoveryProblem:
     quiet: tuple[Experiment, ...]
     options: FitOptions
     executor: RefitExecutor = field(default_factory=RefitExecutor)
-    budget: SearchBudget = field(default_factory=SearchBudget)
     failures: FailureLog = field(default_factory=FailureLog)
     given: tuple[str, ...] = ()
     user_settings: FitSettings | None = None
@@ -223,7 +219,7 @@ class DiscoveryProblem:
     predicted: dict[CandidateKey, float] = field(init=False, default_factory=dict)
 
     @classmethod
-    def from_fit(cls, fit: Fit, budget: SearchBudget | None = None) -> DiscoveryProblem:
+    def from_fit(cls, fit: Fit) -> DiscoveryProblem:
         """The records, noise and options of a finished fit; its model is the plain one."""
         outputs = [o.name for o in fit.model.outputs]
         std = np.array([fit.noise.std.get(name, np.nan) for name in outputs])
@@ -235,7 +231,7 @@ class DiscoveryProblem:
             replace(t.experiment, noise={**t.noise, **{n: g.std(t.simulated[n]) for n, g in fit.noise.growth.items()}})
             for t in fit.traces
         )
-        return cls(fit.model, experiments, noise, (), options, budget=budget or SearchBudget())
+        return cls(fit.model, experiments, noise, (), options)
 
     def to_candidate(self, fit: Fit) -> FittedCandidate:
         """A finished fit as it stands, without another search."""
@@ -433,7 +429,7 @@ class DiscoveryProblem:
     def to_portable(self) -> DiscoveryProblem:
         """The same for another process: the noise is known, and there is no executor or journal."""
         return DiscoveryProblem(
-            self.model, self.experiments, self.noise_model, (), self.refit_options, budget=self.budget, given=self.given
+            self.model, self.experiments, self.noise_model, (), self.refit_options, given=self.given
         )
 
     def predict_cost(self, model: Model, starts: Iterable[StartValues], like: FittedCandidate | None = None) -> float:

@@ -69,15 +69,6 @@ def propose_noise_check(base: Fit) -> tuple[Finding, ...]:
     return (Finding(DiscoveryCode.CHECK_NOISE, Severity.WARNING, ", ".join(guessed), values),)
 
 
-def separate_ties(answer: Sequence[str], alternatives: Sequence[Sequence[str]]) -> tuple[Finding, ...]:
-    """What would settle which of some sets that the records cannot tell apart is the right one, for each alternative."""
-    sets = [(sorted(set(answer) - set(rival)), sorted(set(rival) - set(answer))) for rival in alternatives]
-    return tuple(
-        Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=" + ".join(names), values={"rival": " + ".join(others)})
-        for names, others in sets
-    )
-
-
 def explain_doubt(claim: Claim) -> Finding | None:
     """What would settle a name that is not established: None where only what else is left speaks against it."""
     rival = claim.equals[0] if claim.equals else _other_effect(claim)

@@ -27,11 +27,6 @@ from greybox.model.effects.starts import AMPLITUDE_GRID
 INDEPENDENT_SOURCES = (NoiseSource.GIVEN, NoiseSource.QUIET_RECORD)
 
 
-def is_noise_known(noise: NoiseModel, quiet: bool) -> bool:
-    """Whether level and colour of the noise come from outside the records that are fitted."""
-    return quiet and is_level_known(noise)
-
-
 def is_level_known(noise: NoiseModel) -> bool:
     """Whether the level of every output is known, and not bounded only."""
     return noise.is_level_known
@@ -74,16 +69,6 @@ def _limit_memory(fitted: AutoRegression) -> AutoRegression:
     if not fitted.order or abs(fitted.reflection[0]) <= WHITE_CORRELATION:
         return AutoRegression()
     return AutoRegression((min(fitted.reflection[0], RESIDUAL_NOISE_LONGEST_CORRELATION),))
-
-
-# Relative change of the level below which the noise stands still.
-LEVEL_TOLERANCE = 0.05
-
-
-def is_same_noise(noise: NoiseModel, before: NoiseModel) -> bool:
-    """Whether reading the noise again changes nothing: the same colour, and the same level."""
-    same_level = np.allclose(noise.std, before.std, rtol=LEVEL_TOLERANCE)
-    return same_level and all(a.reflection == b.reflection for a, b in zip(noise.colour, before.colour, strict=True))
 
 
 def excess_autocorrelation(candidate: FittedCandidate, lags: int) -> float:
@@ -129,15 +114,6 @@ SECOND_BRANCH = "_second_branch"
 def is_shape_correction(name: str) -> bool:
     """Whether an effect of this name has none of its own: it corrects the shape of another one, or is linear dynamics of no name."""
     return name == CURVE or name.endswith(SECOND_BRANCH) or name.startswith(LINEAR_DYNAMICS)
-
-
-def fit_shape_correction(
-    problem: DiscoveryProblem, candidate: FittedCandidate, scales: Scales
-) -> FittedCandidate | None:
-    """The best correction of one effect by Schwarz's criterion; None where there is none to try."""
-    jobs = list_shape_corrections(problem, candidate, scales)
-    corrected = [fit for fit in problem.refit_all([job for _, job in jobs]) if fit is not None]
-    return min(corrected, key=lambda fit: fit.criterion, default=None)
 
 
 def list_shape_corrections(

@@ -20,9 +20,8 @@ from greybox.discovery.holdout import HoldoutError, compare_holdout_errors, wors
 from greybox.discovery.laws.terms import Law, claimed_name
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.refinement import Refinement
 from greybox.discovery.residual_noise import is_shape_correction
-from greybox.discovery.selection import SelectionStep
+from greybox.discovery.search import SelectionStep
 from greybox.discovery.surrogate import Surrogate, find_missing_sites
 from greybox.estimation import Estimate, Fit, FitOptions
 from greybox.estimation.reading_errors import OF_INSTRUMENTS
@@ -177,8 +176,6 @@ class Discovery(Printable, StoredResult):
         For each effect its signal as the data and as the extended model have it.
     surrogate
         A curve or a tone in the place of an unknown effect.
-    refinement
-        The further effects that were looked for where more than noise was left; the best model has them.
     claims
         What is said of the plain model, as a tree: where something is missing, of which variables, of which family, which effect; each
         with its probability, its grade and its best rival.
@@ -216,7 +213,6 @@ class Discovery(Printable, StoredResult):
     next_steps: tuple[Finding, ...] = ()
     effect_signals: tuple[EffectSignal, ...] = ()
     surrogate: Surrogate | None = None
-    refinement: Refinement | None = None
     policy: DiscoveryPolicy = field(default_factory=DiscoveryPolicy)
     seconds: float = 0.0
     options: FitOptions = field(default_factory=FitOptions)
@@ -231,7 +227,7 @@ class Discovery(Printable, StoredResult):
     FILE: ClassVar[FileKind] = FileKind("a discovery", "discovery.json that greybox discover has written")
     KEYS: ClassVar[str] = """
         verdict effects! form=shape_corrections alternatives plain_misfit sites=ranked_sites when=localisation.windows
-        regions=localisation.dependences stand_in=surrogate further=refinement parameters=best.parameters plain_parameters
+        regions=localisation.dependences stand_in=surrogate parameters=best.parameters plain_parameters
         gap=holdout test claims false_names effect_signals left ranking story next_steps=str(next_steps) notes=str(findings)
         not_tried=str(not_tried) failures checks path findings=all_findings policy options=stored_options seconds
         model=best.model.name equations=best.provenance.equations plain_equations?=base.provenance.equations

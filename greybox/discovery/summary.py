@@ -10,57 +10,53 @@ import numpy as np
 
 from greybox.base import Finding
 from greybox.base.json_shape import to_values
+from greybox.discovery.answer import SearchAnswer
 from greybox.discovery.claims import SENSOR_CLASS, Claim, deepest_established, name_claim, place_within_sensor_class
-from greybox.discovery.decision import Conclusion, Grade, Verdict
+from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.effect_signal import RemainingError
 from greybox.discovery.findings import DiscoveryCode
-from greybox.discovery.holdout import PARTIAL_SHARE, HoldoutError, worst_output
-from greybox.discovery.judged_selection import JudgedSelection, list_added_effects, list_named_effects
+from greybox.discovery.holdout import PARTIAL_SHARE, VALIDATION_SHARE, HoldoutError, worst_output
 from greybox.discovery.laws.terms import Law
 from greybox.discovery.localisation import ResidualLocalisation
-from greybox.discovery.refinement import VALIDATION_SHARE
 from greybox.discovery.surrogate import Surrogate, find_missing_sites
 
 
 def summarise(
-    judged: JudgedSelection,
-    decided: Conclusion,
-    claims: Sequence[Claim],
+    answer: SearchAnswer,
     alternatives: Sequence[Sequence[str]],
     left: Mapping[str, RemainingError],
     location: ResidualLocalisation,
     surrogate: Surrogate | None,
-    rejected: str = "",
-    is_worse: bool = False,
-    constants: Mapping[str, int] | None = None,
+    constants: Mapping[str, int],
 ) -> tuple[Finding, ...]:
     """The conclusion as findings: the effects and how certain they are, the error they take, and what is left.
 
-    ``rejected`` names the effects of the best model on the estimation records where the plain one does as well on the others, or better
-    on the test records (``is_worse``), and ``constants`` counts those of each candidate.
+    ``constants`` counts those of each candidate.
     """
+    decided, claims, rejected = answer.decided, answer.claims, answer.rejected
+    is_worse = answer.grounds.is_contradicted
     if decided.verdict is Verdict.COMPLETE:
         return (Finding(DiscoveryCode.NOTHING_MISSING),)
-    effects = list_named_effects(judged)
-    name, output = " + ".join(effects), worst_output(judged.holdout)
-    error = judged.holdout[output]
+    effects = answer.named
+    name, output = " + ".join(effects), worst_output(answer.holdout)
+    error = answer.holdout[output]
     # With what corrects the shape of an effect: the error is that of the whole model.
-    fitted = [e.name for e in list_added_effects(judged)]
+    fitted = [e.name for e in answer.added]
     made = {e: c for e in effects if (c := name_claim(claims, e)) is not None}
     grades = {e: made[e].grade if e in made else Grade.STAND_IN for e in effects}
     established = [e for e in effects if grades[e] is Grade.ESTABLISHED]
-    reduced = _error_reduced(fitted, judged.holdout, VALIDATION_SHARE)
+    reduced = _error_reduced(fitted, answer.holdout, VALIDATION_SHARE)
     explained = {"share": error.share, "output": output}
     remaining = [
-        Finding(DiscoveryCode.ERROR_LEFT, subject=o, values={**each.to_values(), "before": judged.holdout[o].before})
+        Finding(DiscoveryCode.ERROR_LEFT, subject=o, values={**each.to_values(), "before": answer.holdout[o].before})
         for o, each in left.items()
-        if o == output or judged.holdout[o].share < PARTIAL_SHARE
+        if o == output or answer.holdout[o].share < PARTIAL_SHARE
     ]
     if decided.verdict is Verdict.NAMED:
         return (Finding(DiscoveryCode.EFFECT_NAMED, subject=name), *reduced)
     if decided.verdict is Verdict.AMBIGUOUS:
         rivals = [" + ".join(names) for names in alternatives]
-        counts = [sum((constants or {}).get(e, 0) for e in names) for names in (effects, *alternatives)]
+        counts = [sum(constants.get(e, 0) for e in names) for names in (effects, *alternatives)]
         values = {**explained, "rivals": rivals, "is_simplest": counts[0] < min(counts[1:], default=0)}
         return (Finding(DiscoveryCode.EFFECTS_TIED, subject=name, values=values), *reduced)
     if decided.verdict is Verdict.PARTLY and established:
@@ -90,7 +86,7 @@ def summarise(
             )
         )
     elif location.likeliest:
-        missing.append(_missing_signal(judged, location, surrogate))
+        missing.append(_missing_signal(answer, location, surrogate))
     if not headline:
         headline.append(Finding(DiscoveryCode.UNKNOWN_EFFECT))
         if (doubted := place_within_sensor_class(claims)) is not None:
@@ -117,9 +113,9 @@ def _error_reduced(effects: Sequence[str], holdout: Mapping[str, HoldoutError], 
     ]
 
 
-def _missing_signal(judged: JudgedSelection, location: ResidualLocalisation, surrogate: Surrogate | None) -> Finding:
+def _missing_signal(answer: SearchAnswer, location: ResidualLocalisation, surrogate: Surrogate | None) -> Finding:
     """How large the missing signal is, where, and of what it is a function; a curve that explains it says more than the localisation."""
-    policy = judged.selection.policy.selection
+    policy = answer.search.policy.selection
     site, labels = location.sites[0], find_missing_sites(location, surrogate)
     values: dict[str, Any] = {
         "size": site.size,
@@ -144,25 +140,24 @@ def _missing_signal(judged: JudgedSelection, location: ResidualLocalisation, sur
 
 
 def summarise_laws(
-    judged: JudgedSelection,
-    decided: Conclusion,
-    claims: Sequence[Claim],
+    answer: SearchAnswer,
     laws: Sequence[Law],
     alternatives: Sequence[Sequence[str]],
     left: Mapping[str, RemainingError],
 ) -> tuple[Finding, ...]:
     """The conclusion with the law: what it is, how certain, what it takes of the error."""
+    decided, claims = answer.decided, answer.claims
     terms = [{"equation": law.equation, "site": law.site, "unit": law.unit} for law in laws]
     values = {"laws": terms, "rivals": [" + ".join(texts) for texts in alternatives]}
     made = [name_claim(claims, law.claimed) for law in laws]
     is_established = all(claim is not None and claim.is_established for claim in made)
     certain = DiscoveryCode.LAW_ESTABLISHED if is_established else DiscoveryCode.LAW_PROBABLE
     code = DiscoveryCode.LAWS_TIED if alternatives else certain
-    output = worst_output(judged.holdout)
+    output = worst_output(answer.holdout)
     # What is certain comes first.
     deepest = deepest_established(claims) if decided.verdict is Verdict.PARTLY and not is_established else None
     headline = [] if deepest is None else [_say_claim(deepest)]
-    reduced = _error_reduced([law.name for law in laws], judged.holdout, VALIDATION_SHARE)
+    reduced = _error_reduced([law.name for law in laws], answer.holdout, VALIDATION_SHARE)
     likeness = [
         Finding(
             DiscoveryCode.LAW_LIKENESS, subject=law.equation, values={"several": len(laws) > 1, **asdict(law.likeness)}
@@ -171,7 +166,7 @@ def summarise_laws(
         if law.likeness is not None
     ]
     remaining = [
-        Finding(DiscoveryCode.ERROR_LEFT, subject=o, values={**each.to_values(), "before": judged.holdout[o].before})
+        Finding(DiscoveryCode.ERROR_LEFT, subject=o, values={**each.to_values(), "before": answer.holdout[o].before})
         for o, each in left.items()
         if decided.verdict not in (Verdict.NAMED, Verdict.AMBIGUOUS) and o == output
     ]

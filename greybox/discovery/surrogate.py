@@ -42,7 +42,6 @@ from greybox.discovery.localisation import (
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import MAX_SUBSTEPS, DiscoveryProblem, FittedCandidate
 from greybox.discovery.residual_noise import SURROGATE_REFIT_ITERATIONS
-from greybox.discovery.selection import TIE_COST
 from greybox.discovery.surrogate_effects import (
     CURVE,
     TONE,
@@ -493,6 +492,10 @@ def _to_curve_surrogate(
 
 
 # A tone in time
+
+
+# Models whose costs differ by less explain the records equally well.
+TIE_COST = 10.0
 
 
 # Periods at the start of a validation record from which amplitude and phase of the tone are estimated there.

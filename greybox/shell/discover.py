@@ -25,9 +25,9 @@ def discover(study: Study) -> Answer:
     Refits the model with each effect of the catalogue, selects the effects that the ESTIMATION records require, and tests them
     on the --validate records. The verdict is "complete" if no effect is missing, "named" if the effects are established and
     only noise is left, "partly" if some effects are established and more is left, "ambiguous" if the records cannot distinguish
-    effects, "unknown" if no effect of the catalogue is established (a fitted curve or a tone may then represent it). Where more
-    than noise is left, smaller effects are searched for and selected on the --validate records: then report the error on a
-    third record (--test). With --laws the equation is looked for that no effect of the catalogue is. Effects in the folder effects/ of
+    effects, "unknown" if no effect of the catalogue is established (a fitted curve or a tone may then represent it). The
+    --validate records take part in the choice: report the error on a third record (--test). With --laws the equation is looked
+    for that no effect of the catalogue is. Effects in the folder effects/ of
     the project are tried beside the catalogue. Writes DIR/discovery.json, the extended model as DIR/model.py (greybox fit
     DIR/model.py ... continues with it), and DIR/report.html, a report for the browser. Every finished
     refit is stored in DIR/journal.jsonl: after Ctrl-C the same command continues from there.

@@ -144,7 +144,7 @@ class Study:
     lacks = Option(kinds.Names(split=True), "--lacks PART", "lacks",
         "The rig has no such part: effects that need it are not tried; may be repeated.", completion.parts)
     further = Option(kinds.Switch(), "--further", "further",
-        "Search for smaller effects even where the residual is noise. Where more is left, they are always searched for.")
+        "Search for smaller effects even where only noise of a known level is left.")
     laws = Option(kinds.Switch(), "--laws", "laws",
         "Where no effect is established or more than noise is left, look for the equation that is missing.")
     outputs = Option(kinds.Names(split=True), "--outputs NAME", "outputs", "Assume that only this output is measured; may be repeated.")

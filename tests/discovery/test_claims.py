@@ -17,7 +17,6 @@ from greybox.discovery.claims import (
     Weights,
     deepest_established,
     describe_effect,
-    find_winner,
     grade_claims,
     list_tied_sets,
     name_claim,
@@ -31,6 +30,7 @@ from greybox.discovery.claims import (
     weigh_claims,
 )
 from greybox.discovery.decision import Decision, Grade, Verdict
+from greybox.discovery.search import find_named_winner
 from greybox.discovery.surrogate_effects import CURVE, LINEAR_DYNAMICS, make_linear_path
 from greybox.discovery.table import BlockSums, Draws, FittedSet
 from models.micro_actuator import micro_actuator
@@ -198,13 +198,10 @@ def test_a_place_that_may_be_a_sensor_is_not_established_by_what_a_sensor_may_be
 
 def test_the_set_that_wins_most_often_is_the_answer_unless_a_curve_wins():
     friction, damping, curve = fitted("coulomb_friction"), fitted("quadratic_damping"), fitted(curve=True)
-    table = draws((friction, 3), (damping, 5), (curve, 2), PLAIN)
-    assert find_winner(table, friction.candidate) is damping.candidate
-    assert find_winner(table, damping.candidate) is damping.candidate
-    # As often is not more often, and a curve says only that no name is right.
-    assert find_winner(draws((friction, 5), (damping, 5), PLAIN), damping.candidate) is damping.candidate
-    assert find_winner(draws((friction, 1), (curve, 9), PLAIN), friction.candidate) is friction.candidate
-    assert find_winner(draws((friction, 1), (PLAIN[0], 9)), friction.candidate) is friction.candidate
+    plain = PLAIN[0].candidate
+    assert find_named_winner(draws((friction, 3), (damping, 5), (curve, 2), PLAIN), plain) is damping.candidate
+    # The plain model is a set like any other.
+    assert find_named_winner(draws((friction, 1), (PLAIN[0], 9)), plain) is plain
 
 
 def test_a_curve_beside_an_effect_supports_its_place_and_denies_its_name():

@@ -5,15 +5,12 @@ import pytest
 import greybox as gb
 from greybox.base.errors import FitError
 from greybox.discovery.claims import deepest_established
-from greybox.discovery.execution import RefitJob, SearchStage
+from greybox.discovery.execution import SearchStage
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.pipeline import discover
-from greybox.discovery.selection import StepwiseSelection
 from greybox.model.effect import Effect
 from greybox.model.signals import Parameter
 from models.micro_actuator import micro_actuator
-from tests.discovery.test_selection import select
-from tests.support.fake_candidates import FakeProblem, costs, toy_effect
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
 
 pytestmark = pytest.mark.rest
@@ -48,9 +45,9 @@ def fail(*_, **__):
     ("place", "stage"),
     [
         ("conclusion.localise_residual", SearchStage.LOCALISATION),
-        ("conclusion.refit_rivals", SearchStage.EVIDENCE),
+        ("conclusion.add_objections", SearchStage.EVIDENCE),
         ("conclusion.estimate_effect_signals", SearchStage.EVIDENCE),
-        ("rivals.list_shape_corrections", SearchStage.SHAPE_CORRECTION),
+        ("proposers.list_shape_corrections", SearchStage.SHAPE_CORRECTION),
     ],
 )
 def test_a_stage_that_fails_does_not_end_the_search(rig, monkeypatch, place, stage):
@@ -58,19 +55,17 @@ def test_a_stage_that_fails_does_not_end_the_search(rig, monkeypatch, place, sta
     found = answer(rig)
     assert [e["name"] for e in found.effects] == ["cubic_stiffness"]
     assert (stage, "on purpose") in {(failure.stage, failure.reason) for failure in found.failures}
-    if place == "conclusion.refit_rivals":
+    if place == "conclusion.add_objections":
         assert found.verdict == "partly"  # no name is certain that was held against no rival; the place is
         assert not any(e["grade"] == "established" for e in found.effects)
         assert deepest_established(found.claims).name == ""
 
 
 def test_what_comes_after_an_unknown_effect_may_fail_as_well(rig, monkeypatch):
-    """The search for further effects fails, and the curve after it, which is tried nevertheless."""
-    for place in ("refine_candidate", "fit_surrogate"):
-        monkeypatch.setattr(f"greybox.discovery.conclusion.{place}", fail)
+    monkeypatch.setattr("greybox.discovery.conclusion.fit_surrogate", fail)
     found = answer(rig, ["input_offset"])
     assert found.verdict == "unknown"
-    assert {failure.stage for failure in found.failures} >= {SearchStage.REFINEMENT, SearchStage.SURROGATE}
+    assert SearchStage.SURROGATE in {failure.stage for failure in found.failures}
 
 
 def test_an_effect_that_cannot_be_written_out_is_out_with_its_reason(rig):
@@ -87,46 +82,6 @@ def test_an_effect_that_cannot_be_written_out_is_out_with_its_reason(rig):
     assert [e["name"] for e in found.effects] == ["cubic_stiffness"]
     assert found.not_tried["broken"].code == DiscoveryCode.CANDIDATE_FAILED
     assert "on purpose" in found.not_tried["broken"].values["reason"]
-
-
-# The selection alone, with a fake estimator.
-
-
-def test_an_effect_whose_refit_cannot_begin_is_out():
-    effects = [toy_effect("a"), toy_effect("b")]
-
-    class Failing(StepwiseSelection):
-        def _screening_job(self, fit, effect) -> RefitJob:
-            if effect.name == "a":
-                fail()
-            return super()._screening_job(fit, effect)
-
-    problem = FakeProblem(costs(9000, a=1000, b=1500))
-    selection = Failing(problem, effects, None, gb.discovery.DiscoveryPolicy(), lambda text: None)
-    selection.measure_autocorrelation = lambda fit, lags: 0.0
-    selection.correct_shape = lambda *_: None
-    assert selection.select().effects == ("b",)
-    assert ("a",) in {f.effects for f in problem.failures.entries.values()}
-
-
-def test_a_further_effect_whose_cost_cannot_be_predicted_is_out(monkeypatch):
-    def predict(self, model, starts, like=None):
-        if {e.name for e in model.effects} == {"a", "b"}:
-            fail()
-        return self._cost(model)
-
-    monkeypatch.setattr(FakeProblem, "predict_cost", predict)
-    table = costs(9000, a=3000, b=4000, c=5000, a__b=1000, a__c=1000)
-    selection, best = select(table, [toy_effect("a"), toy_effect("b"), toy_effect("c")])
-    assert set(best.effects) == {"a", "c"}
-    assert SearchStage.SCREENING in {f.stage for f in selection.problem.failures.entries.values()}
-
-
-def test_a_shape_that_cannot_be_corrected_stands_in_nobodys_way():
-    table = costs(9000, a=2000, b=3000, a__b=1000)
-    selection, best = select(table, [toy_effect("a"), toy_effect("b")], correct_shape=fail)
-    assert set(best.effects) == {"a", "b"}
-    assert SearchStage.SHAPE_CORRECTION in {f.stage for f in selection.problem.failures.entries.values()}
 
 
 # A model that holds an effect already: it is its user's, and no search adds, drops or swaps it.

@@ -13,6 +13,7 @@ from greybox.discovery import false_names
 from greybox.discovery.claims import Depth
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.false_names import FalseNameRate, list_nonsense_sites
+from greybox.discovery.linear import promise_decrease
 from greybox.discovery.pipeline import discover
 from greybox.discovery.table import RIDGE
 from models.micro_actuator import micro_actuator
@@ -93,7 +94,7 @@ def test_the_promise_of_a_signal_is_that_of_least_squares():
 
     plain = least(jacobian[:, 0])
     expected = [plain - least(np.column_stack([jacobian[:, 0], signals[:, 0, k]])) for k in range(4)]
-    assert false_names._promised_decrease(slopes, [signals]) == pytest.approx(expected, rel=1e-9)
+    assert promise_decrease(slopes, [signals]).decrease == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_signal_that_would_leave_too_much_is_not_refitted(monkeypatch):
@@ -187,5 +188,5 @@ def test_a_steep_run_promises_what_its_other_unknowns_leave(slope, expected):
         residuals=[np.array([[0.0], [2.0]])],
     )
     with np.errstate(invalid="ignore", over="ignore"):
-        (found,) = false_names._promised_decrease(slopes, [np.array([[[0.0]], [[1.0]]])])
+        (found,) = promise_decrease(slopes, [np.array([[[0.0]], [[1.0]]])]).decrease
     assert found == pytest.approx(expected)

@@ -1,6 +1,6 @@
 """Candidates on the validation records, with errors that are given: nothing is simulated."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,12 +13,9 @@ from greybox.discovery.holdout import (
     HoldoutError,
     HoldoutScores,
     ValidationSet,
-    drop_on_validation,
     finish_fit,
-    reject_on_validation,
     worst_output,
 )
-from greybox.discovery.policy import SearchBudget, SelectionPolicy
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result_parts import Misfit, Trace, Validation
 from tests.support.fake_candidates import candidate
@@ -37,61 +34,7 @@ def test_the_worst_output_is_so_in_units_of_its_noise():
     assert worst_output(errors) == "i"
 
 
-@dataclass
-class FakeScores:
-    """The error of each set of effects; ``asked`` are those that were scored, in order."""
-
-    errors: dict
-    other: float
-    budget: SearchBudget = field(default_factory=SearchBudget)
-    asked: list = field(default_factory=list)
-
-    @property
-    def problem(self):
-        return SimpleNamespace(budget=self.budget, converge=lambda candidate: candidate)
-
-    def score(self, fit):
-        self.asked.append(fit.effects)
-        return self.errors.get(fit.effects, self.other)
-
-
-SELECTED, GOOD, BETTER, POOR = (candidate(cost, name) for cost, name in ((10, "s"), (30, "g"), (20, "b"), (15, "p")))
-
-
-@pytest.mark.parametrize(
-    ("errors", "kept"),
-    [
-        ({"s": 3.0}, "s"),  # explains 7 of 9: more than half
-        ({"s": 9.0, "g": 1.5}, "g"),  # another one explains most of it
-        ({"s": 9.0, "g": 1.5, "b": 1.2}, "b"),  # the likeliest of those, not the best
-        ({"s": 9.0, "p": 3.0}, "s"),  # more than half is not enough to replace it
-        ({"s": np.inf, "g": 1.5}, "g"),  # it runs away
-        ({"s": 9.0}, "s"),  # none is better: it stays, and will be unknown
-    ],
-)
-def test_a_model_that_explains_less_than_half_gives_way(errors, kept):
-    scores = FakeScores({(): 10.0, **{(name,): error for name, error in errors.items()}}, 8.0)
-    best, checks = reject_on_validation(
-        scores, candidate(100.0), SELECTED, [SELECTED, GOOD, BETTER, POOR], SelectionPolicy()
-    )
-    assert best.effects == (kept,)
-    assert checks[0].subject == "s"
-    assert [check.subject for check in checks if check.passed] == (
-        [kept] if best is not SELECTED or errors["s"] < 5 else []
-    )
-
-
-def test_without_a_gap_nothing_is_rejected():
-    kept, checks = reject_on_validation(FakeScores({}, 1.04), candidate(100.0), SELECTED, [GOOD], SelectionPolicy())
-    assert kept is SELECTED
-    assert checks == ()
-
-
-def test_only_the_leading_candidates_are_scored():
-    scores = FakeScores({}, 10.0, SearchBudget(holdout_candidates=2))
-    many = [candidate(20.0 + k, f"other_{k}") for k in range(5)]
-    reject_on_validation(scores, candidate(100.0), SELECTED, many, SelectionPolicy())
-    assert scores.asked == [(), ("s",), ("other_0",), ("other_1",)]
+SELECTED, GOOD = (candidate(cost, name) for cost, name in ((10, "s"), (30, "g")))
 
 
 class FakeRuns(HoldoutScores):
@@ -146,20 +89,6 @@ def test_a_share_is_of_the_error_and_needs_no_noise():
     error = HoldoutError(8.84e-3, 0.31e-3, 1e-3, "V", is_floor_known=False)
     assert error.share == pytest.approx(1 - 0.31 / 8.84)
     assert HoldoutError(0.0, 0.0, 1.0, "V").share == 0.0
-
-
-def test_an_effect_that_makes_other_records_worse_is_dropped():
-    both, one, other = candidate(100, "a", "b"), candidate(200, "a"), candidate(300, "b")
-    scores = FakeScores({(): 10.0, ("a", "b"): 3.0, ("a",): 2.0, ("b",): 5.0}, 0.0)
-    kept, checks = drop_on_validation(scores, both, [both, one, other], 0.05)
-    assert kept is one
-    assert [(c.subject, c.passed) for c in checks] == [("b", False)]
-
-
-def test_an_effect_that_does_no_harm_to_other_records_stays():
-    both, one = candidate(100, "a", "b"), candidate(200, "a")
-    scores = FakeScores({(): 10.0, ("a", "b"): 2.05, ("a",): 2.0}, 0.0)
-    assert drop_on_validation(scores, both, [both, one], 0.05)[0] is both
 
 
 # A fit of one's own of what a search hands over.

@@ -13,7 +13,7 @@ from greybox.base.findings import with_code
 from greybox.data.experiment import Experiment
 from greybox.discovery.claims import ESTABLISHED_FROM, name_claim
 from greybox.discovery.decision import Verdict
-from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
+from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.pipeline import discover
 from greybox.estimation.fit import fit
 from greybox.extensions.export.python_model import to_python
@@ -259,7 +259,6 @@ def test_an_offset_and_a_load_without_the_current_are_a_tie():
     assert {d.effects[0]["name"], *(n for a in d.alternatives for n in a)} == {"input_offset", "constant_load"}
     (step,) = with_code(d.next_steps, DiscoveryCode.SEPARATE_FROM_RIVAL)
     assert {step.subject, step.values["rival"]} == {"input_offset", "constant_load"}
-    assert [check.rule for check in d.checks].count(DiscoveryRule.TIE) == 1
 
 
 @pytest.mark.rest

@@ -12,8 +12,6 @@ from greybox.discovery.residual_noise import (
     RESIDUAL_NOISE_LONGEST_CORRELATION,
     estimate_residual_noise,
     excess_autocorrelation,
-    is_noise_known,
-    is_same_noise,
 )
 from greybox.estimation.options import EstimationPolicy
 
@@ -45,20 +43,6 @@ def with_residual(monkeypatch):
     return make
 
 
-@pytest.mark.parametrize(
-    ("source", "quiet", "known"),
-    [
-        (NoiseSource.GIVEN, True, True),
-        (NoiseSource.QUIET_RECORD, True, True),
-        (NoiseSource.GIVEN, False, False),  # its colour is not known
-        (NoiseSource.DIFFERENCES, True, False),
-        (NoiseSource.RESIDUAL, True, False),
-    ],
-)
-def test_noise_is_known_from_outside_the_fitted_records_only(source, quiet, known):
-    assert is_noise_known(noise(source), quiet) is known
-
-
 def test_a_coloured_residual_gives_its_colour_and_never_a_level_above_the_bound(with_residual):
     estimated = estimate_residual_noise(with_residual(3.0 * coloured()))
     assert estimated.std[0] == 1.0
@@ -88,14 +72,6 @@ def test_a_level_that_was_given_stays(with_residual):
     estimated = estimate_residual_noise(with_residual(3.0 * coloured(), noise(NoiseSource.GIVEN)))
     assert estimated.std[0] == 1.0
     assert estimated.colour[0].order == 1
-
-
-@pytest.mark.parametrize(
-    ("std", "colour", "same"),
-    [(1.04, WHITE, True), (1.06, WHITE, False), (1.0, AutoRegression((0.5,)), False)],
-)
-def test_the_noise_stands_still_within_its_tolerance(std, colour, same):
-    assert bool(is_same_noise(noise(std=std, colour=colour), noise())) is same
 
 
 def test_noise_leaves_no_autocorrelation_and_structure_does(with_residual):

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from greybox.discovery.claims import NO_GROUNDS
 from greybox.discovery.decision import Conclusion, Verdict
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import HoldoutError
@@ -22,11 +23,15 @@ LOCATION = SimpleNamespace(
 def summarise(effects, surrogate_share, look_alike_share=0.5):
     """The codes, and the values of the missing signal, of an answer without an established effect."""
     error = HoldoutError(1.0, 1 - look_alike_share, 0.01, "m")
-    judged = SimpleNamespace(
-        best=SimpleNamespace(model=SimpleNamespace(effects=[SimpleNamespace(name=name) for name in effects])),
-        base=SimpleNamespace(model=SimpleNamespace(effects=[])),
+    answer = SimpleNamespace(
+        added=[SimpleNamespace(name=name) for name in effects],
+        named=effects,
         holdout={"s": error},
-        selection=SimpleNamespace(policy=DiscoveryPolicy()),
+        search=SimpleNamespace(policy=DiscoveryPolicy()),
+        decided=Conclusion(Verdict.UNKNOWN, ()),
+        claims=(),
+        rejected="",
+        grounds=NO_GROUNDS,
     )
     surrogate = None
     if surrogate_share is not None:
@@ -41,7 +46,7 @@ def summarise(effects, surrogate_share, look_alike_share=0.5):
             signal=SimpleNamespace(value=np.array([3.0, -3.0])),
             to_values=lambda: {"site": "input u"},
         )
-    findings = summarise_answer(judged, Conclusion(Verdict.UNKNOWN, ()), (), (), {}, LOCATION, surrogate)
+    findings = summarise_answer(answer, (), {}, LOCATION, surrogate, {})
     missing = next(f for f in findings if f.code == DiscoveryCode.MISSING_SIGNAL)
     return [f.code for f in findings], missing
 

@@ -23,7 +23,7 @@ from greybox.show.sentences.registry import sentences
 from greybox.show.sentences.wording import capitalise, change_text, count_noun, record_text, value_with_unit
 
 if TYPE_CHECKING:
-    from greybox.discovery import Discovery, HoldoutError, Refinement
+    from greybox.discovery import Discovery, HoldoutError
 
 # How the answer is marked; every other verdict asks for caution.
 TONES = {Verdict.COMPLETE: doc.Tone.GOOD, Verdict.NAMED: doc.Tone.GOOD}
@@ -92,8 +92,6 @@ def _details(d: Discovery) -> Iterator[doc.Block]:
     where = str(d.localisation).splitlines() if d.localisation.is_missing else []
     lines = [*(f"the plain model: {line}" for line in where), *holdout_lines(d)]
     yield doc.BulletList([*lines, *([] if d.surrogate is None else [f"surrogate: {d.surrogate}"])])
-    if d.refinement is not None and d.refinement.steps:
-        yield doc.Paragraphs([words.refinement_text(d.refinement)])
     if d.claims:
         yield _claims(d)
     if d.false_names:
@@ -150,8 +148,6 @@ def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) ->
         ]
     if signals:
         yield doc.Section("missing", "The missing signal", signals)
-    if discovery.refinement is not None:
-        yield doc.Section("further", "Further effects", list(_refinement(discovery.refinement)))
     if discovery.localisation.is_missing:
         yield doc.Section("localisation", "Localisation of the missing effect", list(_localisation(discovery)))
     if discovery.ranking:
@@ -269,29 +265,6 @@ def extended_name(discovery: Discovery) -> str:
     is_look_alike = all(e["grade"] == Grade.STAND_IN for e in discovery.effects)
     is_open = discovery.verdict in (Verdict.UNKNOWN, Verdict.PARTLY)
     return "nearest look-alike" if is_open and is_look_alike else "extended model"
-
-
-def _refinement(refinement: Refinement) -> Iterator[doc.Block]:
-    """The effects beyond the answer, and what they leave."""
-    yield doc.Paragraphs([words.refinement_text(refinement)])
-    if not refinement.steps:
-        return
-    rows = [
-        [
-            s.name,
-            _percent(s.estimation_share),
-            _percent(s.validation_share),
-            ", ".join(f"{n} {_percent(v)}" for n, v in s.alike.items()),
-        ]
-        for s in refinement.steps
-    ]
-    head = ["effect", "on the estimation records", "on the validation records", "nearly as well"]
-    yield doc.TableBlock("Further effects, each with the share of the rms misfit that it removes", head, rows)
-    yield tables.parameters_table(refinement.fit)
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
 
 
 def _localisation(discovery: Discovery) -> Iterator[doc.Block]:

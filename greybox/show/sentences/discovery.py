@@ -31,7 +31,7 @@ from greybox.show.sentences.wording import (
 )
 
 if TYPE_CHECKING:
-    from greybox.discovery import Dependence, EffectTest, HoldoutError, Refinement, RefinementStep, Surrogate
+    from greybox.discovery import Dependence, EffectTest, HoldoutError, Surrogate
     from greybox.discovery.false_names import FalseNameRate
     from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
 
@@ -205,39 +205,6 @@ def _effect_test(test: EffectTest) -> str:
             lines.append(f"  {constant_text(name, values)}")
     lines += [f"  {output}: rms error on the validation records {error}" for output, error in test.holdout.items()]
     return "\n".join(lines)
-
-
-@renders("RefinementStep")
-def _refinement_step(step: RefinementStep) -> str:
-    if step.dropped:
-        return (
-            f"{step.name} is out again: beside the others it removes {100 * step.estimation_share:.0f} % of the misfit, and"
-            f" {100 * step.validation_share:.0f} % on the validation records, which may be chance"
-        )
-    alike = ", ".join(f"{name} {100 * share:.0f} %" for name, share in step.alike.items())
-    replaces = f", in the place of {step.replaced}," if step.replaced else ""
-    return (
-        f"{step.name}{replaces} removes {100 * step.estimation_share:.0f} % of the misfit, and"
-        f" {100 * step.validation_share:.0f} % on the validation records"
-        + (f" (nearly as good: {alike})" if alike else "")
-    )
-
-
-def refinement_text(refinement: Refinement) -> str:
-    """What a refinement found, in a sentence."""
-    if not refinement.steps:
-        return "No further effect reduces the remaining misfit on records that were not fitted."
-    steps = "; ".join(map(str, refinement.steps))
-    return (
-        f"Further effects: {steps}. They were selected on the validation records: report the misfit on another record."
-    )
-
-
-@renders("Refinement")
-def _refinement(refinement: Refinement) -> str:
-    if not refinement.steps:
-        return f"no further effect\n{refinement.fit}"
-    return "\n".join([*map(str, refinement.steps), str(refinement.fit)])
 
 
 # Evidence for each effect, and what is left
@@ -618,9 +585,6 @@ register(
         DiscoveryCode.TEST_ERROR: _test_error,
         DiscoveryCode.MISSING_ON_TEST: "the test records, which took no part in the search, contradict that only noise is left: the"
         " error of {subject} there is {ratio:.3g} times the noise",
-        DiscoveryCode.SHAPE_CORRECTED: lambda f: (
-            f"the family of the effect is certain, but its shape differs from {f.subject}: {' + '.join(f.values['correction'])} corrects it"
-        ),
         DiscoveryCode.DETECTION_LIMIT: _detection_limit,
         # Why an effect was not tried.
         DiscoveryCode.NO_PLACE: "the model has no place for it: {reason}",
@@ -702,17 +666,13 @@ register(
         DiscoveryCode.BASELINE_FITTED: lambda f: (
             f"plain model: misfit {ratio_text(f.values['misfit'], f.values['bounded'])}"
         ),
-        DiscoveryCode.NOISE_WHITE: "noise: white, as the best effect leaves it",
-        DiscoveryCode.NOISE_FROM_RESIDUAL: _noise_from_residual,
         DiscoveryCode.FIRST_EFFECT: lambda f: (
             f"{f.subject}: misfit {f.values['before']:.3g} -> {f.values['after']:.3g} times the noise{' at least' * f.values['bounded']}"
         ),
         DiscoveryCode.FURTHER_EFFECT: lambda f: (
             f"{f.subject}: misfit {ratio_text(f.values['after'], f.values['bounded'])}"
         ),
-        DiscoveryCode.SHAPE_CORRECTION_SUFFICES: "the remaining misfit is due to the shape of {subject}: no further effect",
         DiscoveryCode.LEARNING_FROM_VALIDATION: "the plain model fails only on the validation records: the search uses their first half",
-        DiscoveryCode.REFINEMENT_STARTED: "{subject}: misfit on the validation records {misfit:.3g} times that of the fit",
     }
 )
 
@@ -737,10 +697,6 @@ register(
         DiscoveryRule.CRITERION_GAIN: _check("decrease of Schwarz's criterion", ">"),
         DiscoveryRule.EXPLAINED_EXCESS: _check("decrease of the cost", ">="),
         DiscoveryRule.ONLY_NOISE_LEFT: _check("cost per sample, reduced to the noise", "<="),
-        DiscoveryRule.SIMPLER_MEMBER: _check("increase of the cost over the richer member of the family", "<="),
-        DiscoveryRule.SHAPE_CORRECTION: _check("criterion with a corrected shape, against a further effect", "<="),
-        DiscoveryRule.SWAP: _check("criterion with the effect replaced by a better one", "<"),
-        DiscoveryRule.TIE: _check("criterion above that of the selected model", "<"),
         DiscoveryRule.CLEAN_RESIDUAL: _check("cost per sample", "<="),
         DiscoveryRule.SMALL_REMAINDER: _check("remaining excess cost", "<="),
         DiscoveryRule.WHITE_RESIDUAL: _check("excess autocorrelation of the residual", "<="),
@@ -750,14 +706,13 @@ register(
             "share of the excess validation error explained, down to the noise", ">="
         ),
         DiscoveryRule.HOLDOUT_NOISE: _check("validation error of the extended model over noise", "<="),
-        DiscoveryRule.ESTIMATION_DECREASE: _check("share of the rms misfit removed", ">="),
         DiscoveryRule.VALIDATION_DECREASE: _check("validation misfit", "<="),
         DiscoveryRule.CONSISTENT_DECREASE: _check(
             "decrease over blocks of the validation records, in standard errors", ">="
         ),
         DiscoveryRule.TEST_INCREASE: _check("increase over blocks of the test records, in standard errors", "<"),
         DiscoveryRule.TEST_NOISE: _check("error on the test records over noise", "<="),
-        DiscoveryRule.REFINED_ERROR: _check("validation misfit, against the model with corrected shapes,", "<="),
+        DiscoveryRule.WINS: _check("misfit over that of the set before", "<"),
         DiscoveryRule.ESTABLISHED: _check("established, with probability", ">="),
     }
 )

@@ -138,7 +138,7 @@ def test_the_equation_is_claimed_at_every_depth(found):
 
 def test_no_curve_takes_the_place_of_an_established_law(monkeypatch):
     asked = []
-    monkeypatch.setattr(conclusion, "refit_curves_in_place", lambda *given: asked.append(given))
+    monkeypatch.setattr(conclusion, "add_curves_in_place", lambda *given: asked.append(given))
     answer = gb.discover(
         hunters(False),
         record("one", (3.0, 1.0), 1),

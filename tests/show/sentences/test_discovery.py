@@ -9,7 +9,6 @@ from greybox.discovery.findings import DiscoveryCode as Code
 from greybox.discovery.findings import DiscoveryRule as Rule
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.localisation import MisfitTiming
-from greybox.discovery.refinement import RefinementStep
 from greybox.show.sentences.discovery import (
     constant_text,
     dependence_text,
@@ -230,12 +229,6 @@ FINDINGS = [
         " noise",
     ),
     (
-        Code.SHAPE_CORRECTED,
-        *("viscoelastic_creep", {"correction": ["viscoelastic_creep_second_branch"]}),
-        "the family of the effect is certain, but its shape differs from viscoelastic_creep: viscoelastic_creep_second_branch"
-        " corrects it",
-    ),
-    (
         Code.DETECTION_LIMIT,
         *("cubic_stiffness", {"parameter": "K3", "limit": 1.234e8, "unit": "N/m^3"}),
         "cubic_stiffness is not detectable below K3 = 1.2e+08 N/m^3",
@@ -345,12 +338,6 @@ FINDINGS = [
         *("", {"misfit": 2.91, "bounded": True}),
         "plain model: misfit at least 2.91 times the noise",
     ),
-    (Code.NOISE_WHITE, *("", {}), "noise: white, as the best effect leaves it"),
-    (
-        Code.NOISE_FROM_RESIDUAL,
-        *("micro_actuator", {"colours": [[], [0.81]], "std": [1e-7, 1e-3]}),
-        "candidates are weighed by the colour of the residual of micro_actuator: white, correlation 0.81",
-    ),
     (
         Code.FIRST_EFFECT,
         *("coulomb_friction", {"before": 113.2, "after": 1.01, "bounded": False}),
@@ -362,19 +349,9 @@ FINDINGS = [
         "coulomb_friction + backlash: misfit 1.01 times the noise",
     ),
     (
-        Code.SHAPE_CORRECTION_SUFFICES,
-        *("viscoelastic_creep", {"before": 113.2, "after": 1.01, "bounded": False}),
-        "the remaining misfit is due to the shape of viscoelastic_creep: no further effect",
-    ),
-    (
         Code.LEARNING_FROM_VALIDATION,
         *("", {}),
         "the plain model fails only on the validation records: the search uses their first half",
-    ),
-    (
-        Code.REFINEMENT_STARTED,
-        *("silverbox", {"misfit": 1.21}),
-        "silverbox: misfit on the validation records 1.21 times that of the fit",
     ),
     (
         Code.EFFECTS_ESTABLISHED,
@@ -561,10 +538,6 @@ CHECKS = {
     Rule.CRITERION_GAIN: "backlash: decrease of Schwarz's criterion 18.2 > 20: no",
     Rule.EXPLAINED_EXCESS: "backlash: decrease of the cost 18.2 >= 20: no",
     Rule.ONLY_NOISE_LEFT: "backlash: cost per sample, reduced to the noise 18.2 <= 20: no",
-    Rule.SIMPLER_MEMBER: "backlash: increase of the cost over the richer member of the family 18.2 <= 20: no",
-    Rule.SHAPE_CORRECTION: "backlash: criterion with a corrected shape, against a further effect 18.2 <= 20: no",
-    Rule.SWAP: "backlash: criterion with the effect replaced by a better one 18.2 < 20: no",
-    Rule.TIE: "backlash: criterion above that of the selected model 18.2 < 20: no",
     Rule.CLEAN_RESIDUAL: "backlash: cost per sample 18.2 <= 20: no",
     Rule.SMALL_REMAINDER: "backlash: remaining excess cost 18.2 <= 20: no",
     Rule.WHITE_RESIDUAL: "backlash: excess autocorrelation of the residual 18.2 <= 20: no",
@@ -572,12 +545,11 @@ CHECKS = {
     Rule.HOLDOUT_EXPLAINED: "backlash: share of the excess validation error explained 18.2 >= 20: no",
     Rule.HOLDOUT_PARTLY_EXPLAINED: "backlash: share of the excess validation error explained, down to the noise 18.2 >= 20: no",
     Rule.HOLDOUT_NOISE: "backlash: validation error of the extended model over noise 18.2 <= 20: no",
-    Rule.ESTIMATION_DECREASE: "backlash: share of the rms misfit removed 18.2 >= 20: no",
     Rule.VALIDATION_DECREASE: "backlash: validation misfit 18.2 <= 20: no",
     Rule.TEST_INCREASE: "backlash: increase over blocks of the test records, in standard errors 18.2 < 20: no",
     Rule.TEST_NOISE: "backlash: error on the test records over noise 18.2 <= 20: no",
     Rule.CONSISTENT_DECREASE: "backlash: decrease over blocks of the validation records, in standard errors 18.2 >= 20: no",
-    Rule.REFINED_ERROR: "backlash: validation misfit, against the model with corrected shapes, 18.2 <= 20: no",
+    Rule.WINS: "backlash: misfit over that of the set before 18.2 < 20: no",
     Rule.ESTABLISHED: "backlash: established, with probability 18.2 >= 20: no",
 }
 
@@ -682,17 +654,6 @@ def test_errors_and_steps_fit_on_a_line():
     assert str(HoldoutError(2.0, 1.0, 0.3, "V", is_floor_known=False)) == "2 -> 1 V"
     assert explained_share_text(0.988) == "takes away 98.8 % of the error"
     assert explained_share_text(-0.1) == "takes away none of the error"
-    step = RefinementStep("backlash", 0.21, 0.18, {"constant_load": 0.17})
-    assert str(step) == (
-        "backlash removes 21 % of the misfit, and 18 % on the validation records (nearly as good: constant_load 17 %)"
-    )
-    swap = RefinementStep("backlash", 0.21, 0.18, {}, "constant_load")
-    assert str(swap) == (
-        "backlash, in the place of constant_load, removes 21 % of the misfit, and 18 % on the validation records"
-    )
-    assert str(RefinementStep("backlash", 0.03, 0.07, {}, dropped=True)) == (
-        "backlash is out again: beside the others it removes 3 % of the misfit, and 7 % on the validation records, which may be chance"
-    )
 
 
 @pytest.mark.parametrize(

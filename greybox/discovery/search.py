@@ -1,0 +1,468 @@
+"""The loop of a discovery: sets of effects on one table, the most promising of one screen refitted, until nothing gets better.
+
+Each round screens every effect beside the leading sets (`greybox.discovery.linear`), refits the first of each family and site, the
+relatives of those that lead and the leader without each of its parts, and puts all of them on the table. What wins there is the answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+
+from greybox.base.findings import Check, Finding
+from greybox.base.numerics import TINY
+from greybox.discovery.candidates import family_of, generate_child_starting_points, generate_starting_points
+from greybox.discovery.claims import Weights
+from greybox.discovery.decision import EXCESS_AUTOCORRELATION, make_check
+from greybox.discovery.execution import RefitJob, SearchStage
+from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
+from greybox.discovery.linear import LinearRun, Promise
+from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.problem import (
+    DiscoveryProblem,
+    FittedCandidate,
+    StartValues,
+    noise_cost_limit,
+    share_values,
+)
+from greybox.discovery.residual_noise import excess_autocorrelation, is_level_known, is_shape_correction
+from greybox.discovery.table import Draws, FitTable, SetKey, draw_sets, key_of
+from greybox.model import Effect
+from greybox.model.effects.placement import AT
+from greybox.model.effects.scales import Scales
+from greybox.model.effects.starts import AMPLITUDE_GRID, FEW_SHAPES, count_shapes, count_starts
+from greybox.model.parts import Occurrence, read_parts
+
+MessageCallback = Callable[[str], None]
+
+
+class StepKind(StrEnum):
+    """What a round of the search comes to."""
+
+    ADD = "add"
+    """Another set of effects wins."""
+    KEEP = "keep"
+    """The best of the new sets, which does not win: the one before stays."""
+
+
+@dataclass(frozen=True)
+class SelectionStep:
+    """One round of the search.
+
+    Parameters
+    ----------
+    kind
+        What the round comes to.
+    effects
+        The set of effects that it is about.
+    accepted
+        Whether the search went on with it.
+    checks
+        The checks that this rests on.
+    """
+
+    kind: StepKind
+    effects: tuple[str, ...]
+    accepted: bool
+    checks: tuple[Check, ...]
+
+
+# Effects in a set at most: a fifth shares its error among four others, and no resample tells which.
+MOST_EFFECTS = 4
+# Sets beside which effects are screened in a round: two may explain together what neither explains alone.
+MOST_BASES = 4
+# Refits of a round: a one-step promise ranks the right effect first in four of five cases, and among the first ten nearly always.
+MOST_TRIED = 12
+# Refits beside each base at least.
+LEAST_TRIED = 2
+# Twice the log-likelihood that an effect must promise: of the best of fifty without meaning one in ten exceeds it.
+LEAST_PROMISE = 10.0
+# Iterations of a look; those of which a further step promises this share of the cost go on to the end...
+LOOK_ITERATIONS, FALLING_SHARE = 4, 0.1
+# ...or so much of it where they may still come near the best.
+NEGLIGIBLE_SHARE = 1e-3
+# Iterations of an effect that is there whole: the constants have to come back from where they had gone without it.
+WHOLE_ITERATIONS = 12
+# A set may still come near if after a look its cost is at most so many times that of the best: twice the rms error...
+NEAR_COST = 4.0
+# ...and it is not worth a finer step from five times on.
+HOPELESS_COST = 25.0
+# Sets that are refitted to the end in a round, and how near the best they must be in rms.
+MOST_FINISHED, FINISHED_RATIO = 4, 1.5
+# Leading sets whose relatives are fitted in a round.
+MOST_RELATED = 2
+# Resamples that a round reads, and those that take part of the sets that were fitted.
+ROUND_RESAMPLES = 60
+# Columns of an effect, best first beside the plain model, that are screened beside others.
+KEPT_SHAPES = 4
+# Lags over which the correlation of a residual is summed.
+AUTOCORRELATION_LAGS = 30
+# Classes of which every effect is fitted, and how many.
+EXPECTED, MOST_EXPECTED = (Occurrence.USUAL, Occurrence.COMMON), 8
+
+
+@dataclass
+class EffectSearch:
+    """A search in progress.
+
+    Parameters
+    ----------
+    problem
+        Fits the candidate models.
+    table
+        The sets that were fitted.
+    candidates
+        Effects in catalogue order, parents before children.
+    scales
+        Peaks and times of the records, from which starting points follow.
+    policy
+        The decision numbers.
+    on_message
+        Called with a line about each step.
+    further
+        Whether the search goes on where only noise is left.
+    """
+
+    problem: DiscoveryProblem
+    table: FitTable
+    candidates: Sequence[Effect]
+    scales: Scales
+    policy: DiscoveryPolicy
+    on_message: MessageCallback
+    further: bool = False
+    baseline: FittedCandidate = field(init=False)
+    steps: list[SelectionStep] = field(init=False, default_factory=list)
+    _screened: set[tuple[SetKey, str]] = field(init=False, default_factory=set)
+    _related: set[tuple[SetKey, str, str]] = field(init=False, default_factory=set)
+    _shapes: dict[str, Sequence[Mapping[str, float]]] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.baseline = self.problem.baseline
+        self.table.add(self.baseline)
+
+    def run(self) -> FittedCandidate:
+        """The set that wins, the plain model among them; all that was fitted is on the table."""
+        winner = self.baseline
+        for _ in range(MOST_EFFECTS + 1):
+            self._add_promising(self._list_bases(winner))
+            for fit in self._best(MOST_RELATED):
+                self._add_relatives(fit)
+            self._finish_leading()
+            best = self.find_winner()
+            self._drop_parts(best)
+            best = self.find_winner()
+            is_new = key_of(best) != key_of(winner)
+            self._keep_step(best, winner, is_new)
+            winner = best
+            if not is_new or self.problem.executor.is_late or self._is_finished(winner):
+                break
+        return winner
+
+    # What leads
+
+    def draw(self, resamples: int = ROUND_RESAMPLES, always: Sequence[FittedCandidate] = ()) -> Draws:
+        """What resampling says of the table."""
+        return self.table.draw(self.table.leading((self.baseline, *always)), resamples)
+
+    def find_winner(self, draws: Draws | None = None) -> FittedCandidate:
+        """The set that wins most often of those with names, and the plain model: a curve that wins takes no place."""
+        draws = self.draw() if draws is None else draws
+        return find_named_winner(draws, self.baseline)
+
+    def _best(self, most: int) -> list[FittedCandidate]:
+        """The sets that leave least."""
+        named = [c for c in self.table.candidates if c.effects and not any(map(is_shape_correction, c.effects))]
+        return named[:most]
+
+    def _list_bases(self, winner: FittedCandidate) -> list[FittedCandidate]:
+        """The sets beside which effects are screened: the winner, what it is without each part, and the best of other families."""
+        if winner is self.baseline and not self._screened:
+            return [self.baseline]
+        most = MOST_EFFECTS
+        rests = [self.table.get(set(winner.effects) - {name}) for name in winner.effects if len(winner.effects) > 1]
+        ranked = sorted(self._best(3 * MOST_BASES), key=lambda fit: fit.noise_ratio)
+        bases: dict[frozenset[str], FittedCandidate] = {}
+        # Beside two effects the others come one at a time.
+        others = ranked if len(winner.effects) < 2 else []
+        for fit in (winner, *(rest for rest in rests if rest is not None), *others):
+            bases.setdefault(frozenset(self._root(name) for name in fit.effects), fit)
+        return [fit for fit in bases.values() if len(fit.effects) < most][:MOST_BASES]
+
+    def _is_finished(self, fit: FittedCandidate) -> bool:
+        """Whether nothing is worth looking for: only noise is left of a level that somebody told, or the set is full."""
+        if len(fit.effects) >= MOST_EFFECTS:
+            return True
+        if self.further or not is_level_known(self.problem.noise_model):
+            return False
+        is_clean = fit.per_sample <= noise_cost_limit(fit.count)
+        return is_clean and excess_autocorrelation(fit, AUTOCORRELATION_LAGS) <= EXCESS_AUTOCORRELATION
+
+    # What is tried
+
+    def _add_promising(self, bases: Sequence[FittedCandidate]) -> None:
+        """The most promising effects beside each base, the first of each family and site, refitted."""
+        promises = [promise for base in bases for promise in self._screen(base)]
+        planned = [self._plan(promise) for promise in self._choose(promises)]
+        planned += [
+            self._plan_whole(base, e) for base in bases if not base.effects for e in self.candidates if not e.parameters
+        ]
+        self._add_each(planned)
+
+    def _screen(self, base: FittedCandidate) -> list[tuple[FittedCandidate, Promise, float]]:
+        """What each further effect promises beside a set, and the sum of squares that it would leave."""
+        left = [
+            e
+            for e in self.candidates
+            if (key_of(base), e.name) not in self._screened
+            and e.name not in base.effects
+            and not any(self._root(e.name) == self._root(name) for name in base.effects)
+        ]
+        if self.problem.executor.is_late:
+            self.problem.executor.skipped += len(left)
+            return []
+        self._screened |= {(key_of(base), e.name) for e in left}
+        slopes = self.table.slopes(base)
+        if slopes is None:
+            return []
+        look = partial(LinearRun(slopes).screen, left, self.scales, self.problem.failures, self._shapes)
+        promises: list[Promise] = self.problem.failures.attempt(SearchStage.SCREENING, base.effects, look, [])
+        if not base.effects:
+            self._shapes = {p.effect.name: p.shapes[:KEPT_SHAPES] for p in promises}
+        cost = sum(float((r**2).sum()) for r in slopes.residuals[: slopes.fitted])
+        return [(base, promise, cost - promise.decrease) for promise in promises]
+
+    def _choose(
+        self, promises: Sequence[tuple[FittedCandidate, Promise, float]]
+    ) -> Iterator[tuple[FittedCandidate, Promise]]:
+        """The first of each base, family and site with the simplest of its family, best first; of the plain model the usual ones too."""
+        # Beside another set what chance promises as well is no proposal; beside the plain model it shows what these records would show.
+        worth = [one for one in promises if not one[0].effects or self._is_worth(one)]
+        ranked = sorted(worth, key=lambda one: one[2])
+        of_base: dict[int, int] = {}
+        taken: set[tuple[int, str]] = set()
+        chosen: dict[tuple[int, str], tuple[FittedCandidate, Promise]] = {}
+        count = 0
+        for base, promise, _ in ranked:
+            root, place = self._root(promise.effect.name), (id(base), self._root(promise.effect.name))
+            if place in taken or (count >= MOST_TRIED and of_base.get(id(base), 0) >= LEAST_TRIED):
+                continue
+            taken.add(place)
+            count, of_base[id(base)] = count + 1, of_base.get(id(base), 0) + 1
+            chosen[id(base), promise.effect.name] = base, promise
+            simplest = next((p for b, p, _ in ranked if b is base and p.effect.name == root), None)
+            if simplest is not None:
+                chosen.setdefault((id(base), root), (base, simplest))
+        for base, promise, _ in ranked:
+            if not base.effects and promise.effect.name in self.expected:
+                chosen.setdefault((id(base), promise.effect.name), (base, promise))
+        yield from chosen.values()
+
+    def _is_worth(self, one: tuple[FittedCandidate, Promise, float]) -> bool:
+        """Whether a promise is more than chance: twice the gain of the log-likelihood, N ln(before / after)."""
+        base, promise, left = one
+        return base.count * float(np.log1p(promise.decrease / max(left, TINY))) > LEAST_PROMISE if left > 0 else True
+
+    @property
+    def screened(self) -> set[str]:
+        """Names of the effects that were looked at."""
+        return {name for _, name in self._screened}
+
+    @property
+    def expected(self) -> list[str]:
+        """Names of the effects that rigs with such parts usually have, the likeliest first."""
+        parts = read_parts(self.problem.model)
+        usual = [e for e in self.candidates if parts.occurrence(e) in EXPECTED]
+        return [e.name for e in sorted(usual, key=lambda e: -parts.occurrence(e).probability)][:MOST_EXPECTED]
+
+    def _plan(self, chosen: tuple[FittedCandidate, Promise]) -> tuple[FittedCandidate, RefitJob] | None:
+        """A look at a set with one effect more, from where the screen has it."""
+        base, promise = chosen
+        effect = promise.effect
+
+        def plan() -> RefitJob:
+            model = base.model + effect
+            first = promise.starts[0]
+            nominal = {**first, **share_values(self.problem.model, self.problem.model)}
+            starts = (
+                *promise.starts,
+                {**first, **{n: v for n, v in nominal.items() if n in self.problem.model.values}},
+            )
+            # The cost of an effect of many shapes has many minima: of one with few the most promising start is enough.
+            shapes = count_shapes(effect, self.scales)
+            keep = 1 if shapes < FEW_SHAPES else count_starts(effect, self.scales)
+            return self.problem.plan_refit(model, starts, keep, LOOK_ITERATIONS, base, refines=False)
+
+        job = self.problem.failures.attempt(SearchStage.PREPARATION, (*base.effects, effect.name), plan, None)
+        return None if job is None else (base, job)
+
+    def _plan_whole(self, base: FittedCandidate, effect: Effect) -> tuple[FittedCandidate, RefitJob] | None:
+        """A look at a set with an effect that has no size: it is there whole, and no multiple of it says what it does."""
+
+        def plan() -> RefitJob:
+            model = base.model + effect
+            starts = (base.model.values, {**base.model.values, **share_values(self.problem.model, base.model)})
+            return self.problem.plan_refit(model, starts, 2, WHOLE_ITERATIONS, base, refines=False)
+
+        job = self.problem.failures.attempt(SearchStage.PREPARATION, (*base.effects, effect.name), plan, None)
+        return None if job is None else (base, job)
+
+    # Refits
+
+    def _add_each(self, planned: Iterable[tuple[FittedCandidate, RefitJob] | None]) -> None:
+        """Looks, carried on where they fall or may come near the best, put on the table."""
+        jobs = [one for one in planned if one is not None]
+        looks = self.problem.refit_all([job for _, job in jobs])
+        # It contains the smaller set: from where that ended, the effect absent, it cannot do worse.
+        behind = [k for k, fit in enumerate(looks) if fit is None or fit.cost > jobs[k][0].cost]
+        again = self.problem.refit_all([self._plan_absent(*jobs[k]) for k in behind])
+        for k, fit in zip(behind, again, strict=True):
+            looks[k] = min((f for f in (looks[k], fit) if f is not None), key=lambda f: f.cost, default=None)
+        fits = [fit for fit in looks if fit is not None]
+        near = NEAR_COST * min((fit.cost for fit in (*fits, *self._best(1))), default=0.0)
+        falling = [
+            fit
+            for fit in fits
+            if fit.promised_decrease > (NEGLIGIBLE_SHARE if fit.cost <= near else FALLING_SHARE) * fit.cost
+        ]
+        carried = self.problem.refit_all(
+            [self.problem.plan_refit(f.model, [f.model.values], 1, like=f, refines=False) for f in falling]
+        )
+        self.table.add(*fits, *carried)
+
+    def _plan_absent(self, base: FittedCandidate, job: RefitJob) -> RefitJob:
+        return self.problem.plan_refit(job.model, [share_values(base.model, job.model)], 1, like=base, refines=False)
+
+    def _finish_leading(self) -> None:
+        """The sets that may win, refitted to the end."""
+        best = self._best(MOST_FINISHED)
+        near = [fit for fit in best if fit.noise_ratio <= FINISHED_RATIO * best[0].noise_ratio]
+        self.table.add(*(self.problem.converge(fit) for fit in near))
+
+    def _add_relatives(self, fit: FittedCandidate) -> None:
+        """A set with each of its effects replaced by a simpler or a richer one of its family, from where it stands."""
+        planned = []
+        for name in fit.effects:
+            effect = self._find(name)
+            if effect is None:
+                continue
+            simpler = (*effect.parents, *effect.approaches)
+            for relative in [e for e in self.candidates if e.name in simpler or name in (*e.parents, *e.approaches)]:
+                key = (key_of(fit), name, relative.name)
+                if key in self._related or relative.name in fit.effects:
+                    continue
+                self._related.add(key)
+                plan = partial(self._plan_relative, fit, effect, relative)
+                planned.append(
+                    self.problem.failures.attempt(SearchStage.PREPARATION, (*fit.effects, relative.name), plan, None)
+                )
+        self._add_each(one for one in planned if one is not None)
+
+    def _plan_relative(
+        self, fit: FittedCandidate, effect: Effect, relative: Effect
+    ) -> tuple[FittedCandidate, RefitJob] | None:
+        """A look at the set with ``relative`` in the place of ``effect``; None where it is known and leaves no more than the set."""
+        known = self.table.get((set(fit.effects) - {effect.name}) | {relative.name})
+        is_child = effect.name in relative.parents
+        if known is not None and (is_child or known.cost <= fit.cost):
+            return None
+        model = fit.model.without(effect.name) + relative
+        kept = share_values(fit.model, model)
+        of_old, of_new = fit.model.names_of(effect.name), model.names_of(relative.name)
+        shared = {
+            of_new[q]: fit.model.values[of_old[q]]
+            for q in of_new.keys() & of_old.keys()
+            if of_old[q] in fit.model.values
+        }
+        starts: list[StartValues] = [{**kept, **{n: v for n, v in shared.items() if n in model.values}}]
+        starts += generate_child_starting_points(model, relative, fit, effect, self.scales) if is_child else []
+        rest = self.table.get(set(fit.effects) - {effect.name}) or self.baseline
+        starts += generate_starting_points(model, relative, fit, fit.model.without(effect.name), self.scales, (1.0,))
+        starts = [{n: v for n, v in start.items() if n in model.values} for start in starts]
+        return rest, self.problem.plan_refit(model, starts, 1, LOOK_ITERATIONS, fit, refines=False)
+
+    def _drop_parts(self, best: FittedCandidate) -> None:
+        """The winner without each of its effects: what a part takes is the difference, and a plain model that was stuck is no ground."""
+        for name in best.effects:
+            if (rest := self.problem.refit_without(best, name)) is None:
+                continue
+            self.table.add(rest)
+            if not rest.effects and rest.cost < self.baseline.cost:
+                self.baseline = rest
+
+    def add_in_place(self, chosen: FittedCandidate) -> None:
+        """What else may stand in the place of each effect of a set: nothing, and the most promising of the others."""
+        self.table.add(chosen)
+        self._drop_parts(chosen)
+        rests = [self.table.get(set(chosen.effects) - {name}) for name in chosen.effects]
+        self._add_promising([rest for rest in rests if rest is not None])
+
+    def add_beside(self, base: FittedCandidate, effect: Effect) -> FittedCandidate | None:
+        """A set with one effect more, refitted to the end, on the table; the one that is there already; None where it cannot be fitted."""
+        wanted = {*base.effects, effect.name}
+        if self.table.get(wanted) is None:
+
+            def plan() -> RefitJob:
+                model = base.model + effect
+                starts = list(generate_starting_points(model, effect, base, base.model, self.scales, AMPLITUDE_GRID))
+                return self.problem.plan_refit(model, starts, 2, LOOK_ITERATIONS, base, refines=False)
+
+            job = self.problem.failures.attempt(SearchStage.PREPARATION, tuple(wanted), plan, None)
+            self._add_each([] if job is None else [(base, job)])
+        return self.table.get(wanted)
+
+    def add_usual(self) -> None:
+        """Pairs of the effects that such rigs usually have: a set that nobody fitted cannot come first."""
+        singles = [fit for name in self.expected if (fit := self.table.get({name})) is not None]
+        ranked = sorted(singles, key=lambda fit: fit.cost)
+        pairs = [(a, b) for a, b in combinations(ranked, 2) if self._root(a.effects[0]) != self._root(b.effects[0])][
+            :MOST_PAIRS
+        ]
+        for first, second in pairs:
+            if (effect := self._find(second.effects[0])) is not None:
+                self.add_beside(first, effect)
+
+    # Families and steps
+
+    def _root(self, name: str) -> str:
+        """The simplest candidate of the family of an effect, at its place."""
+        names = [e.name for e in self.candidates]
+        family = [other for other in family_of(name, self.candidates) if other in names]
+        return family[0] if family else name.partition(AT)[0]
+
+    def _find(self, name: str) -> Effect | None:
+        return next((e for e in self.candidates if e.name == name), None)
+
+    def _keep_step(self, best: FittedCandidate, before: FittedCandidate, is_new: bool) -> None:
+        shown = best if is_new else next((c for c in self._best(2) if key_of(c) != key_of(before)), best)
+        names = " + ".join(shown.effects)
+        ratio = shown.noise_ratio / max(before.noise_ratio, 1e-300)
+        check = make_check(DiscoveryRule.WINS, ratio, 1.0, is_new, names)
+        self.steps.append(SelectionStep(StepKind.ADD if is_new else StepKind.KEEP, shown.effects, is_new, (check,)))
+        if is_new and shown.effects:
+            values = {"before": before.noise_ratio, "after": shown.noise_ratio, "bounded": shown.is_noise_bounded}
+            code = DiscoveryCode.FURTHER_EFFECT if before.effects else DiscoveryCode.FIRST_EFFECT
+            self.on_message(str(Finding(code, subject=names, values=values)))
+
+
+# Pairs of usual effects that are fitted.
+MOST_PAIRS = 6
+
+
+def find_named_winner(draws: Draws, plain: FittedCandidate) -> FittedCandidate:
+    """The set that wins most often among those whose effects have names, and the plain one.
+
+    A curve that wins says that no name is right: it takes no place, and leaves the names little weight.
+    """
+    named = [s for s in draws.sets if not any(map(is_shape_correction, s.candidate.effects))]
+    if not named:
+        return plain
+    if draws.sets[Weights.of(draws).leading] not in named:
+        draws = draw_sets(named)
+    totals, sets = Weights.of(draws).totals, [s.candidate for s in draws.sets]
+    eligible = [k for k, c in enumerate(sets) if not any(map(is_shape_correction, c.effects))]
+    return sets[max(eligible, key=lambda k: totals[k])] if eligible else plain

@@ -1,0 +1,100 @@
+"""The loop of a search on records of a mass on a spring: what it tries, what it leaves alone, and that what wins is the answer."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.discovery.candidates import estimate_scales, list_candidates
+from greybox.discovery.conclusion import leave_out_small
+from greybox.discovery.holdout import HoldoutScores, ValidationSet
+from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.problem import DiscoveryProblem
+from greybox.discovery.search import EffectSearch, StepKind
+from greybox.discovery.table import FitTable
+
+STAGE = Model(
+    "stage",
+    states=[State("x", "m", role="displacement"), State("v", "m/s", role="velocity")],
+    inputs=[Input("F", "N", role="drive")],
+    outputs=[Output("x", "m")],
+    parameters=[
+        Parameter("M", "kg", 0.6, (0.01, 10.0)),
+        Parameter("K", "N/m", 300.0, (1.0, 1e5)),
+        Parameter("B", "N*s/m", 6.0, (0.01, 100.0)),
+    ],
+    balances=lambda x, u, p: [
+        Balance("position", "m/s", 1, "x", velocity=x.v),
+        Balance("force", "N", p.M, "v", drive=u.F, spring=-p.K * x.x, damping=-p.B * x.v),
+    ],
+)
+NOISE = 2e-5
+NAMES = ("coulomb_friction", "stribeck_friction", "cubic_stiffness", "input_offset", "sensor_lag")
+
+
+def record(seed, hidden):
+    rng = np.random.default_rng(seed)
+    time, force = 5e-3 * np.arange(160), np.repeat(rng.normal(0, 6, 16), 10)
+    model = STAGE
+    for name, values in hidden.items():
+        model = (model + gb.effect(name)).start(**values)
+    run = gb.simulate(model, {"time": time, "F": force})
+    return gb.Experiment(f"run {seed}", time, {"F": force}, {"x": run.outputs["x"] + NOISE * rng.normal(size=160)})
+
+
+def search(hidden, seed=1, noise=NOISE):
+    """A finished search for a few effects, and the set that won."""
+    told = {} if noise is None else {"x": noise}
+    problem = DiscoveryProblem(STAGE, (record(seed, hidden),), told, (), gb.FitOptions(at_rest=True))
+    scales = estimate_scales(problem.baseline)
+    listed = list_candidates(STAGE, scales, problem.failures, [gb.effect(name) for name in NAMES])
+    table = FitTable(HoldoutScores(problem, ValidationSet((record(seed + 50, hidden),))))
+    loop = EffectSearch(problem, table, listed.effects, scales, DiscoveryPolicy(), lambda text: None)
+    return loop, leave_out_small(table, loop.run())
+
+
+@pytest.fixture(scope="module")
+def of_friction():
+    return search({"coulomb_friction": {"Fc": 1.0}})
+
+
+def test_the_set_that_wins_is_the_simplest_that_leaves_only_noise(of_friction):
+    loop, winner = of_friction
+    assert winner.effects == ("coulomb_friction",)
+    assert winner.model.values["Fc"] == pytest.approx(1.0, rel=0.05)
+    # Its richer relative was fitted too, and the plain model is on the table.
+    assert loop.table.get(("stribeck_friction",)) is not None
+    assert loop.table.get(()) is loop.baseline
+
+
+def test_the_path_says_what_each_round_came_to(of_friction):
+    loop, _ = of_friction
+    (step,) = loop.steps
+    assert (step.kind, step.effects, step.accepted) == (StepKind.ADD, ("coulomb_friction",), True)
+    assert step.checks[0].passed and step.checks[0].value < 1
+
+
+def test_of_two_effects_each_is_found_and_what_is_without_one_is_on_the_table():
+    loop, winner = search({"coulomb_friction": {"Fc": 1.0}, "input_offset": {"u0": 0.8}}, seed=5)
+    assert set(winner.effects) == {"coulomb_friction", "input_offset"}
+    for name in winner.effects:
+        rest = loop.table.get(set(winner.effects) - {name})
+        assert rest is not None and rest.noise_ratio > 1.5 * winner.noise_ratio
+
+
+@pytest.mark.parametrize("noise", [NOISE, None])
+def test_a_complete_model_keeps_no_effect(noise):
+    loop, winner = search({}, seed=9, noise=noise)
+    assert winner.effects == ()
+    assert all(not step.accepted for step in loop.steps)
+
+
+def test_a_search_without_time_tries_nothing(monkeypatch):
+    problem = DiscoveryProblem(STAGE, (record(1, {}),), {"x": NOISE}, (), gb.FitOptions(at_rest=True))
+    scales = estimate_scales(problem.baseline)
+    listed = list_candidates(STAGE, scales, problem.failures, [gb.effect("cubic_stiffness")])
+    table = FitTable(HoldoutScores(problem, ValidationSet((record(2, {}),))))
+    loop = EffectSearch(problem, table, listed.effects, scales, DiscoveryPolicy(), lambda text: None)
+    monkeypatch.setattr(type(problem.executor), "is_late", property(lambda refits: True))
+    assert loop.run() is loop.baseline
+    assert not loop.screened and problem.executor.skipped >= 1
