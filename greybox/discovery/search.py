@@ -286,12 +286,11 @@ class EffectSearch:
 
         def plan() -> RefitJob:
             model = base.model + effect
-            first = promise.starts[0]
-            nominal = {**first, **share_values(self.problem.model, self.problem.model)}
-            starts = (
-                *promise.starts,
-                {**first, **{n: v for n, v in nominal.items() if n in self.problem.model.values}},
-            )
+            first, nominal = promise.starts[0], self.problem.model.values
+            starts = [*promise.starts, {**first, **nominal}]
+            if not promise.decrease:
+                # The screen has nowhere to begin: far from the run of the base it may lead somewhere.
+                starts += generate_starting_points(model, effect, base, self.problem.model, self.scales, AMPLITUDE_GRID)
             # The cost of an effect of many shapes has many minima: of one with few the most promising start is enough.
             shapes = count_shapes(effect, self.scales)
             keep = 1 if shapes < FEW_SHAPES else count_starts(effect, self.scales)

@@ -29,6 +29,8 @@ STAGE = Model(
     ],
 )
 NOISE = 2e-5
+# Whole searches.
+pytestmark = pytest.mark.rest
 NAMES = ("coulomb_friction", "stribeck_friction", "cubic_stiffness", "input_offset", "sensor_lag")
 
 
