@@ -83,7 +83,6 @@ class DiscoveryCode(StrEnum):
     # What to do next.
     ASK_PART = "ask_part"
     SEPARATE_FROM_RIVAL = "separate_from_rival"
-    QUOTE_THIRD_RECORD = "quote_third_record"
     CONFIRM_ON_ANOTHER_RECORD = "confirm_on_another_record"
     CONTINUE_WITH_LOOK_ALIKE = "continue_with_look_alike"
     STATE_NOISE = "state_noise"

@@ -213,10 +213,8 @@ class DiscoveryProblem:
     given: tuple[str, ...] = ()
     user_settings: FitSettings | None = None
     fitted: list[FittedCandidate] = field(default_factory=list)
-    # What is known already under this noise: candidates that a refit from where they stand leaves there, ...
+    # Candidates that a refit from where they stand leaves there, under this noise.
     settled: set[CandidateKey] = field(init=False, default_factory=set)
-    # ... and the cost that was predicted for one with a further effect.
-    predicted: dict[CandidateKey, float] = field(init=False, default_factory=dict)
 
     @classmethod
     def from_fit(cls, fit: Fit) -> DiscoveryProblem:

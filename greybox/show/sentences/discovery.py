@@ -610,7 +610,6 @@ register(
             f"record an experiment in which {effect_title(f.subject)} and {effect_title(f.values['rival'])} differ (another amplitude,"
             " speed or direction; `greybox design` with `--goal discrimination` plans it): these records do not separate them"
         ),
-        DiscoveryCode.QUOTE_THIRD_RECORD: "quote the error on a third record: the validation records chose some of these effects",
         DiscoveryCode.CONFIRM_ON_ANOTHER_RECORD: "continue with the extended model, and confirm it on a record with another amplitude or"
         " waveform",
         DiscoveryCode.CONTINUE_WITH_LOOK_ALIKE: "continue with {subject}, which follows the records better, but do not read its parameters"

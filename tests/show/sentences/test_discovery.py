@@ -462,11 +462,6 @@ FINDINGS = [
         "The error in y on the validation records falls from 517 to 125 mV (76 % less) with drive lag and a fitted curve.",
     ),
     (
-        Code.QUOTE_THIRD_RECORD,
-        *("", {}),
-        "quote the error on a third record: the validation records chose some of these effects",
-    ),
-    (
         Code.CONFIRM_ON_ANOTHER_RECORD,
         *("", {}),
         "continue with the extended model, and confirm it on a record with another amplitude or waveform",
