@@ -40,7 +40,7 @@ OWN_SUBSTEPS = 4
 
 
 @dataclass(frozen=True)
-class Promise:
+class EffectPromise:
     """An effect beside a set: what one step promises to take of the set's sum of squares, and where a refit of the two begins.
 
     ``starts``: values of all constants of the model with both, the most promising first; ``shapes``: those of the effect's own constants,
@@ -86,7 +86,7 @@ class LinearRun:
         scales: Scales,
         failures: FailureLog,
         shapes: Mapping[str, Sequence[Mapping[str, float]]] = {},
-    ) -> list[Promise]:
+    ) -> list[EffectPromise]:
         """What each effect promises beside the set, the most promising first; none of those that cannot stand there.
 
         ``shapes``: the only values of the effect's constants that are tried, by its own names, where they are given.
@@ -115,7 +115,7 @@ class LinearRun:
             starts = tuple(self._list_starts(tried, count_starts(effect, scales)))
             inner = {outer: name for name, outer in tried[0][2].model.names_of(effect.name).items()}
             shown = tuple({inner[n]: v for n, v in column.values.items()} for _, _, column, _ in tried)
-            promises.append(Promise(effect, tried[0][0], starts, shown))
+            promises.append(EffectPromise(effect, tried[0][0], starts, shown))
         return sorted(promises, key=lambda promise: -promise.decrease)
 
     def predict(self, effect: Effect, values: Mapping[str, float]) -> list[np.ndarray]:

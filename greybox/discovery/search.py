@@ -21,7 +21,7 @@ from greybox.discovery.claims import Weights
 from greybox.discovery.decision import EXCESS_AUTOCORRELATION, make_check
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
-from greybox.discovery.linear import LinearRun, Promise
+from greybox.discovery.linear import EffectPromise, LinearRun
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import (
     DiscoveryProblem,
@@ -213,7 +213,7 @@ class EffectSearch:
         ]
         self._add_each(planned)
 
-    def _screen(self, base: FittedCandidate) -> list[tuple[FittedCandidate, Promise, float]]:
+    def _screen(self, base: FittedCandidate) -> list[tuple[FittedCandidate, EffectPromise, float]]:
         """What each further effect promises beside a set, and the sum of squares that it would leave."""
         left = [
             e
@@ -230,22 +230,22 @@ class EffectSearch:
         if slopes is None:
             return []
         look = partial(LinearRun(slopes).screen, left, self.scales, self.problem.failures, self._shapes)
-        promises: list[Promise] = self.problem.failures.attempt(SearchStage.SCREENING, base.effects, look, [])
+        promises: list[EffectPromise] = self.problem.failures.attempt(SearchStage.SCREENING, base.effects, look, [])
         if not base.effects:
             self._shapes = {p.effect.name: p.shapes[:KEPT_SHAPES] for p in promises}
         cost = sum(float((r**2).sum()) for r in slopes.residuals[: slopes.fitted])
         return [(base, promise, cost - promise.decrease) for promise in promises]
 
     def _choose(
-        self, promises: Sequence[tuple[FittedCandidate, Promise, float]]
-    ) -> Iterator[tuple[FittedCandidate, Promise]]:
+        self, promises: Sequence[tuple[FittedCandidate, EffectPromise, float]]
+    ) -> Iterator[tuple[FittedCandidate, EffectPromise]]:
         """The first of each base, family and site with the simplest of its family, best first; of the plain model the usual ones too."""
         # Beside another set what chance promises as well is no proposal; beside the plain model it shows what these records would show.
         worth = [one for one in promises if not one[0].effects or self._is_worth(one)]
         ranked = sorted(worth, key=lambda one: one[2])
         of_base: dict[int, int] = {}
         taken: set[tuple[int, str]] = set()
-        chosen: dict[tuple[int, str], tuple[FittedCandidate, Promise]] = {}
+        chosen: dict[tuple[int, str], tuple[FittedCandidate, EffectPromise]] = {}
         count = 0
         for base, promise, _ in ranked:
             root, place = self._root(promise.effect.name), (id(base), self._root(promise.effect.name))
@@ -262,7 +262,7 @@ class EffectSearch:
                 chosen.setdefault((id(base), promise.effect.name), (base, promise))
         yield from chosen.values()
 
-    def _is_worth(self, one: tuple[FittedCandidate, Promise, float]) -> bool:
+    def _is_worth(self, one: tuple[FittedCandidate, EffectPromise, float]) -> bool:
         """Whether a promise is more than chance: twice the gain of the log-likelihood, N ln(before / after)."""
         base, promise, left = one
         return base.count * float(np.log1p(promise.decrease / max(left, TINY))) > LEAST_PROMISE if left > 0 else True
@@ -279,7 +279,7 @@ class EffectSearch:
         usual = [e for e in self.candidates if parts.occurrence(e) in EXPECTED]
         return [e.name for e in sorted(usual, key=lambda e: -parts.occurrence(e).probability)][:MOST_EXPECTED]
 
-    def _plan(self, chosen: tuple[FittedCandidate, Promise]) -> tuple[FittedCandidate, RefitJob] | None:
+    def _plan(self, chosen: tuple[FittedCandidate, EffectPromise]) -> tuple[FittedCandidate, RefitJob] | None:
         """A look at a set with one effect more, from where the screen has it."""
         base, promise = chosen
         effect = promise.effect
