@@ -23,7 +23,7 @@ from greybox.data.noise.growing import GrowingNoise
 from greybox.discovery.answer import SearchAnswer, make_answer
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
 from greybox.discovery.conclusion import add_test_error, conclude, leave_out_small
-from greybox.discovery.decision import judge_validation_only
+from greybox.discovery.decision import judge_effect, judge_validation_only
 from greybox.discovery.execution import PARALLEL_SECONDS, RefitExecutor, RefitJournal, SearchStage
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import HoldoutScores, ValidationSet
@@ -244,7 +244,7 @@ def discover(
             first_halves = tuple(record.window(0, half) for record in validation_set.records)
             wider = replace(problem, experiments=(*problem.experiments, *first_halves))
             second_halves = ValidationSet(validation_set.records, half)
-            answer = _search(wider, listed.effects, scales, second_halves, policy, on_message, further, True)
+            answer = _search(wider, listed.effects, scales, second_halves, policy, on_message, further)
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
         findings = (*findings, *_tell_if_errors_grow(answer.search.baseline, problem.options))
         result = conclude(answer, test_set, findings, problem if laws else None)
@@ -289,18 +289,14 @@ def _search(
     policy: DiscoveryPolicy,
     on_message: MessageCallback,
     further: bool,
-    is_wider: bool = False,
 ) -> SearchAnswer:
     """The set that wins on the table of all that was tried."""
     values = {"misfit": problem.baseline.noise_ratio, "bounded": problem.baseline.is_noise_bounded}
     on_message(str(Finding(DiscoveryCode.BASELINE_FITTED, values=values)))
     table = FitTable(HoldoutScores(problem, validation))
     search = EffectSearch(problem, table, candidates, scales, policy, on_message, further)
-    plain = make_answer(search, search.baseline)
-    # What only the records that judge show is learnt from them: a search would explain it by what these cannot tell from it.
-    is_clean = plain.plain.per_sample <= clean_cost_limit(plain.plain.count)
-    if not candidates or (is_clean and not is_wider and _is_to_learn(plain)):
-        return plain
+    if not candidates:
+        return make_answer(search, search.baseline)
     return make_answer(search, leave_out_small(table, search.run()))
 
 
@@ -312,7 +308,13 @@ def _shows_on_validation_only(answer: SearchAnswer) -> bool:
 
 
 def _is_to_learn(answer: SearchAnswer) -> bool:
-    """Whether the search is to learn from the validation records as well."""
+    """Whether the search is to learn from the validation records as well: the fitted ones ask for no effect, the others show one."""
+    search = answer.search
+    if answer.candidate.effects:
+        if judge_effect(answer.plain, answer.plain, answer.candidate, search.policy.selection):
+            return False
+        # What the fitted records do not ask for explains the others by what these cannot tell from the truth.
+        answer = make_answer(search, search.baseline)
     return _shows_on_validation_only(answer) and (answer.problem.options.at_rest or _explains_all(answer))
 
 
