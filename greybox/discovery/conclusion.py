@@ -109,7 +109,8 @@ def _weigh_answer(answer: SearchAnswer) -> SearchAnswer:
     )
     is_cut = bool(answer.problem.executor.skipped)  # not all rivals were tried
     weighed = replace(weighed, grounds=replace(weighed.grounds, is_cut=is_cut))
-    if has_law or weighed.verdict is Verdict.NAMED:  # the records have decided
+    # The records have decided: for names, or that no set of effects does better than the plain model.
+    if has_law or weighed.verdict is Verdict.NAMED or not weighed.candidate.effects:
         return weighed
     prefer = partial(_put_usual_first, weighed)
     return answer.problem.failures.attempt(SearchStage.EVIDENCE, weighed.candidate.effects, prefer, weighed)
