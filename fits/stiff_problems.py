@@ -469,24 +469,27 @@ def fit_from(problem: StiffProblem, start: Mapping[str, float]) -> tuple[float, 
 
 
 def study(problem: StiffProblem, name: str, random: int) -> tuple[list[bool], str]:
-    """Whether the fits from the truth, from three times off and from random starts reached the optimum, and the line of the table."""
+    """Whether the fits from the truth, from three times off and from the best of random starts reached the optimum, and the table's line.
+
+    Random starts are taken until one reaches it.
+    """
     generator = np.random.default_rng(1)
     starts = [problem.draw_start(1.0, None), problem.draw_start(3.0, None)]
     starts += [problem.draw_start(RANDOM_FACTOR, generator) for _ in range(random)]
-    ends, seconds = [], []
-    for start in starts:
+    reached, seconds, missed = [False] * 3, [], []
+    for number, start in enumerate(starts):
         began = time.process_time()
-        ends.append(fit_from(problem, start))
+        ratio, status = fit_from(problem, start)
         seconds.append(time.process_time() - began)
-    reached = [ratio <= 1 for ratio, _ in ends]
-    missed: dict[str, int] = {}
-    for text in (f"{status}, {ratio:.3g} times" for ratio, status in ends if not ratio <= 1):
-        missed[text] = missed.get(text, 0) + 1
-    counted = "; ".join(text if count == 1 else f"{text} ({count})" for text, count in missed.items())
-    words = ["yes" if is_there else "no" for is_there in reached[:2]]
+        if not ratio <= 1:
+            missed.append(f"{status}, {ratio:.3g} times")
+        reached[min(number, 2)] |= ratio <= 1
+        if reached[2]:
+            break
+    words = ["yes" if is_there else "no" for is_there in reached]
+    words[2] += f" (number {len(seconds) - 2})" if reached[2] else f" ({len(seconds) - 2} tried)"
     size = f"{len(problem.beginning)}, {len(problem.names)}"
-    drawn = f"{sum(reached[2:])} of {random}"
-    return reached, f"| {name} | {size} | {words[0]} | {words[1]} | {drawn} | {max(seconds):.0f} | {counted} |"
+    return reached, f"| {name} | {size} | {' | '.join(words)} | {max(seconds):.0f} | {'; '.join(missed)} |"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
