@@ -376,7 +376,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         tables.append((summary, "\n".join(lines)))
     if given.page:
         (networks, network_rows), (models, model_rows) = tables
-        text = PAGE.format(random=given.random, networks=networks, network_rows=network_rows, models=models, model_rows=model_rows, why=WHY)
+        text = PAGE.format(
+            random=given.random,
+            networks=networks,
+            network_rows=network_rows,
+            models=models,
+            model_rows=model_rows,
+            why=WHY,
+        )
         given.page.write_text(text, encoding="utf-8")
 
 

@@ -10,6 +10,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from fits.published_networks import NETWORKS
 from fits.stiff_problems import PROBLEMS
@@ -208,6 +209,29 @@ def test_steps_that_follow_the_error_end_where_they_run_away():
     run = simulate(model, record, initial={"x": 1e8}, method="esdirk")
     assert run.overflow is not None
     assert time.perf_counter() - began < 20.0
+
+
+@pytest.mark.parametrize("transcription", ["automatic", "single", "multiple"])
+@pytest.mark.parametrize("factor", [0.3, 1.0, 2.0])
+def test_growth_that_is_the_plants_own_is_no_chaos(transcription, factor):
+    """A culture that doubles nine times while errors grow as it does: rate and first amount are those of least squares."""
+    time_rows = np.linspace(0, 12, 60)
+    y = 0.02 * np.exp(0.52 * time_rows) + 0.05 * np.random.default_rng(0).normal(size=60)
+    model = Model(
+        "culture",
+        [State("n", "g", lambda p: p.n0)],
+        [],
+        [Output("n", "g")],
+        [Parameter("rate", "1/s", 0.52 * factor, (1e-3, 10.0)), Parameter("n0", "g", 0.02 * factor, (1e-6, 10.0))],
+        lambda x, u, p: [Balance("growth", "g/s", 1, "n", division=p.rate * x.n)],
+    )
+    record = Experiment("culture", time_rows, {}, {"n": y})
+    found = fit(model, record, noise={"n": 0.05}, options=FitOptions(at_rest=True, transcription=transcription))
+    least = least_squares(
+        lambda z: np.exp(z[1] + np.exp(z[0]) * time_rows) - y, np.log([0.5, 0.02]), x_scale=0.01, xtol=1e-14, ftol=1e-14
+    )
+    assert found.success
+    assert [found.parameters[n].value for n in ("rate", "n0")] == pytest.approx(np.exp(least.x), rel=1e-5)
 
 
 def test_steps_on_which_constants_depend_are_made_shorter_or_told():

@@ -127,23 +127,34 @@ def deviations_between_repeats(
 SETTLED_RATIO = 1.5
 
 
+# The same within what is left: fewer rows, whose noise may remember itself.
+DYING_RATIO = 3.0
+
+
+def _dies_away(difference: np.ndarray, ratio: float = SETTLED_RATIO) -> bool:
+    """Whether the first half of ``difference`` (K, n) has so many times the variance of the second."""
+    half = difference.shape[1] // 2
+    parts = difference[:, :half], difference[:, half:]
+    early, late = (np.nanvar(part) if np.isfinite(part).any() else np.nan for part in parts)
+    return bool(early > ratio * late)
+
+
 def deviations_from_mean(repeats: list[np.ndarray]) -> list[np.ndarray]:
     """Repeats (n,) each of the same signal minus their mean, enlarged so that their variance is that of the noise.
 
     ``(y - mean) sqrt(K / (K - 1))`` for K repeats. Each repeat's own mean is removed. Where the first half is clearly louder
-    than the second, the repeats did not begin alike and only the second half is returned.
+    than the second, the repeats did not begin alike and only the second half is returned; nothing where what they began with is still
+    dying away there.
     """
     y = np.array(repeats, float)
     difference = y - y.mean(axis=0)
     finite = np.isfinite(difference)
     if len(y) < 2 or finite.sum() < MIN_PERIOD_ROWS:
         return []
-    half = difference.shape[1] // 2
-    early, late = (
-        np.nanvar(part) if np.isfinite(part).any() else np.nan for part in (difference[:, :half], difference[:, half:])
-    )
-    if early > SETTLED_RATIO * late:
-        difference = difference[:, half:]
+    if _dies_away(difference):
+        difference = difference[:, difference.shape[1] // 2 :]
+        if _dies_away(difference, DYING_RATIO):
+            return []
     usable = [d for d in difference if np.isfinite(d).any()]
     # A mean of n periods holds a share of each: a deviation from it has (n - 1) / n of the variance.
     return [(d - np.nanmean(d)) * np.sqrt(len(y) / (len(y) - 1)) for d in usable]

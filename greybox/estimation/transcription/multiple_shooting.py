@@ -418,8 +418,11 @@ class MultipleShooting:
         if condensed is None:
             return None
         gaps = np.concatenate([np.abs(s.defect) for s in segments])
+        # A start that follows the constants is met like the start of any other segment.
+        away = np.concatenate([np.zeros(1), *(np.abs(s.tie[1]) for s in segments if s.tie is not None)])
         prior = v.penalty(z) if v.has_prior.any() else (0.0, np.zeros(self.n), np.zeros(self.n))
-        return _LinearisedPoint(z, squares, counts, condensed, prior, float(gaps.max()), float(gaps.sum()))
+        gap, violation = max(float(gaps.max()), float(away.max())), float(gaps.sum()) + float(away.sum())
+        return _LinearisedPoint(z, squares, counts, condensed, prior, gap, violation)
 
 
 @dataclass(frozen=True)
