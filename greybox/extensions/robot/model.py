@@ -87,8 +87,10 @@ def _take_over(model: Model, robot: Robot, identified: RobotIdentification, inve
     """The model with the constants and the effects that were identified."""
     numbers = {joint.name: k for k, joint in enumerate(robot.axes, 1)}
     values = {b.name: b.value for b in identified.base}
-    told = [replace(q, value=values[q.name], source="identified") if q.name in values else q for q in model.parameters]
-    model = replace(model, parameters=told)
+    parameters = [
+        replace(q, value=values[q.name], source="identified") if q.name in values else q for q in model.parameters
+    ]
+    model = replace(model, parameters=parameters)
     left_out = []
     for each in identified.effects:
         k = numbers[each.joint]
