@@ -504,19 +504,7 @@ so: about its own, and where those explain nothing either about the scales that 
 yet: Thurber and Roszman1, quotients with poles, have optima of their own with every constant determined; the first published
 start of MGH17 is ninety times off in two rates, and its fit follows 85 % of the curve, so that no other start is tried.
 
-## Stiff problems
-
-Written by `python -m fits.stiff_problems`: data of an independent solver (Radau of SciPy) with noise of 2 % of each range. *Reached*: the
-sum of squares of the constants, by that solver, is not above that of the true ones. From the truth, from each constant three times off,
-and from ten starts up to ten times off, each by the usual options with the noise told. The script has six more problems (Oregonator,
-measles, battery, valve, thermal chain, motor).
-
-| problem | states, constants | from the truth | three times off | random starts | missed |
-|---|---|---|---|---|---|
-| Robertson | 3, 3 | yes | yes | 10 of 10 |  |
-| HIRES | 8, 5 | yes | yes | 10 of 10 |  |
-| enzyme cascade | 8, 7 | yes | yes | 10 of 10 |  |
-| POLLU | 20, 5 | yes | yes | 10 of 10 |  |
+Networks and stiff models with the constants of their sources have [a page of their own](../published_problems.md).
 """
 
 
