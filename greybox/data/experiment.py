@@ -393,8 +393,18 @@ def collect_record_findings(experiments: Iterable[Experiment]) -> tuple[Finding,
 
 
 def as_records(records: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
-    """One record or several, as a tuple."""
-    return (records,) if isinstance(records, Experiment) else tuple(records)
+    """One record or several, as a tuple. Raises DataError for what is none, such as a data frame."""
+    if isinstance(records, Experiment):
+        return (records,)
+    strange = (
+        records if hasattr(records, "columns") else next((r for r in records if not isinstance(r, Experiment)), None)
+    )
+    if strange is not None:
+        raise DataError(
+            f"a {type(strange).__name__} is no record; make one of it with the model whose columns it has:"
+            " gb.read_csv(table, model)"
+        )
+    return tuple(records)
 
 
 def number_unnamed_records(experiments: Iterable[Experiment]) -> tuple[Experiment, ...]:

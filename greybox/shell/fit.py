@@ -139,6 +139,9 @@ def next_command(study: Study, result: Fit, saved: Path) -> NextCommand:
     if not result.success:
         return study.then("check", *records)
     if not result.explains_records:
+        # A constant that ended at its bound in a bad fit is as often the sign of another optimum as of a missing effect.
+        if any(e.at_bound for e in result.parameters.values()) and study.starts <= 1:
+            return study.then("fit", *records, "--starts", "8")
         return study.then("discover", *records)
     if not result.model.has_equations:
         return study.then("compare", *records)

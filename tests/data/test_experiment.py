@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from greybox.base.errors import DataError
+from greybox.comparison.blackbox import arx
 from greybox.data.experiment import Experiment, collect_record_findings, number_unnamed_records
 from greybox.data.findings import RecordCode, is_sensor_fault
 from greybox.data.sampling import estimate_time_resolution, find_sampling_time
@@ -569,3 +570,10 @@ def test_a_reading_in_steps_says_how_large_they_are():
     assert RecordCode.READING_COARSE not in told_by(time, values)
     # Printed with four digits, and held for five rows: that repeats, and is not coarse.
     assert RecordCode.READING_COARSE not in told_by(time, np.repeat(np.round(values[::5], 4), 5))
+
+
+def test_a_data_frame_is_no_record_and_is_told_how_to_become_one() -> None:
+    frame = pytest.importorskip("pandas").DataFrame({"time [s]": [0.0, 0.1], "u": [0.0, 1.0], "x": [0.0, 0.1]})
+    for records in (frame, [frame]):
+        with pytest.raises(DataError, match=r"gb\.read_csv\(table, model\)"):
+            arx(records, na=1, nb=1, output="x")
