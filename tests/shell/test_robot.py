@@ -35,8 +35,8 @@ def test_it_answers_on_one_screen_and_writes_a_page(folder: Path) -> None:
     assert lines[0].startswith("double_pendulum: viscous friction at shoulder and dry friction at elbow;")
     answer = " ".join(lines[:3])
     assert "a payload of 0.4 kg" in answer and "on lower; 6 of 6 base parameters are carried." in answer
-    assert "next: greybox robot arm.urdf log.csv another_motion.csv" in done.stdout
-    page = (folder / "out" / "index.html").read_text(encoding="utf-8")
+    assert "next: greybox robot arm.urdf log.csv ANOTHER_MOTION.csv" in done.stdout
+    page = (folder / "out" / "report.html").read_text(encoding="utf-8")
     assert "with all effects" in page
     assert "Iyy1 + 0.25" in page
     data = json.loads((folder / "out" / "robot.json").read_text(encoding="utf-8"))
@@ -59,7 +59,7 @@ def test_it_answers_on_one_screen_and_writes_a_page(folder: Path) -> None:
         (["log.csv", "log.csv"], "log.csv: this is no XML"),
         (["arm.urdf", "none.csv"], "none.csv"),
         (["arm.urdf", "wrong.csv"], "wrong.csv"),
-        (["arm.urdf"], "DATA"),
+        (["arm.urdf"], "RECORDS"),
     ],
 )
 def test_bad_input_ends_with_one_message(folder: Path, arguments: list[str], reason: str) -> None:

@@ -30,14 +30,14 @@ class RobotStudy(Study):
 
 
 def robot(study: RobotStudy) -> Answer:
-    """Tell what the joints of ROBOT have beside rigid bodies, and which of its constants DATA carries.
+    """Tell what the joints of ROBOT have beside rigid bodies, and which of its constants RECORDS carry.
 
     The base parameters are fitted to the torques by weighed least squares with intervals that hold for coloured noise; each joint is
     searched for viscous, dry, Stribeck and load-dependent friction, an offset, the motor's inertia, a wrong gain and a delay, and the last
     link for a payload. Columns are q1, tau1, q2, tau2 ... in the order of the axes, and dq1 ... where velocities were measured.
-    Writes DIR/robot.json, DIR/index.html, a page for the browser, and two models that other commands take: DIR/motion.py runs, is
+    Writes DIR/robot.json, DIR/report.html, a page for the browser, and two models that other commands take: DIR/motion.py runs, is
     linearised and exported; the export of DIR/torques.py is a controller's feed-forward. --design writes DIR/next_motion.csv, the motion
-    that makes the intervals of the base parameters narrowest beside DATA, and says by how much.
+    that makes the intervals of the base parameters narrowest beside RECORDS, and says by how much.
 
     Exit code 0: there is an answer. 2: bad input, nothing was written.
     """
@@ -73,18 +73,18 @@ def robot(study: RobotStudy) -> Answer:
             str(designed),
             lambda _: format_json(to_json_data(designed.to_data())),
             [saved, *models, written],
-            lambda: write_report(identified, folder / "index.html"),
+            lambda: write_report(identified, folder / "report.html"),
             kept=f"the motion is in {written}",
-            next=study.then("robot", study.source, *study.estimation, "log_of_next_motion.csv"),
+            next=study.then("robot", study.source, *study.estimation, "NEXT_MOTION_LOG.csv"),
         )
     return Answer(
         identified,
         lambda _: saved.read_text(encoding="utf-8"),
         [saved, *models],
-        lambda: write_report(identified, folder / "index.html"),
+        lambda: write_report(identified, folder / "report.html"),
         kept=f"the answer is in {saved}",
         # What holds in another motion as well is the robot's own; the notes say which motion settles what is open.
-        next=study.then("robot", study.source, *study.estimation, "another_motion.csv"),
+        next=study.then("robot", study.source, *study.estimation, "ANOTHER_MOTION.csv"),
     )
 
 
@@ -94,7 +94,7 @@ ROBOT = Command(
     (
         Study.source.but(usage="ROBOT", help="The robot: a URDF or an MJCF file."),
         Study.estimation.but(
-            usage="DATA", help="Joint logs: CSV, MAT, MCAP and others, headers 'name [unit]'.", required=True
+            usage="RECORDS", help="Joint logs: CSV, MAT, MCAP and others, headers 'name [unit]'.", required=True
         ),
         *(RobotStudy.known_to, RobotStudy.physical, RobotStudy.design),
         *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit),

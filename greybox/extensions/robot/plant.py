@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from greybox.base import Printable, to_identifiers
+from greybox.base import to_identifiers
 from greybox.data.experiment import Experiment
 from greybox.extensions.robot.base_parameters import BaseParameters, find_base_parameters
 from greybox.extensions.robot.description import Robot
@@ -26,7 +27,7 @@ JOINT_CONSTANTS = (VISCOUS, COULOMB, OFFSET)
 
 
 @dataclass(frozen=True, eq=False)
-class RobotPlant(Printable):
+class RobotPlant:
     """A robot as a plant (`greybox.simulation.plant.Plant`): torques ``tau1`` ... from positions ``q1`` ..., which are differentiated.
 
     Its constants are the base parameters, and viscous friction, dry friction and offset of each axis.
@@ -41,6 +42,10 @@ class RobotPlant(Printable):
     cheap: bool = True
     _columns: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
 
+    def __str__(self) -> str:
+        n, rank = len(self.robot.axes), len(self.base.names)
+        return f"{self.robot.name}: {n} axes, {rank} base parameters; torques from {', '.join(i.name for i in self.inputs)}"
+
     @property
     def name(self) -> str:
         """Its name as an identifier."""
@@ -53,8 +58,8 @@ class RobotPlant(Printable):
 
     @property
     def identity(self) -> str:
-        """What tells it from others: its links."""
-        return f"{self.robot.name} {hash(self.robot.inertial.tobytes()):x}"
+        """What tells it from others, in every process: its links."""
+        return f"{self.robot.name} {hashlib.sha256(self.robot.inertial.tobytes()).hexdigest()[:16]}"
 
     @property
     def inputs(self) -> tuple[Input, ...]:
