@@ -69,13 +69,13 @@ def _joint_table(identified: RobotIdentification) -> doc.TableBlock:
         effects = [_say_effect(e) for e in identified.effects if e.joint == joint.joint]
         cells = (format_number(v, 3) for v in (joint.torque, joint.rigid, joint.final))
         rows.append([joint.joint, *cells, ", ".join(effects) or "nothing"])
-    head = ["joint", "torque", "rigid", "all", doc.REMARK]
+    head = ["joint", "torque rms", "rigid leaves", "left", doc.REMARK]
     note = "Rms of each torque, of what rigid bodies leave of it, and of what is left with all effects, in N m or N."
     return doc.TableBlock("What each joint has beside rigid bodies", head, rows, note)
 
 
 def _say_effect(effect: JointEffect) -> str:
-    size = f"{effect.value:.3g}" + ("" if effect.unit == "1" else f" {format_unit(effect.unit)}")
+    size = format_with_std(effect.value, effect.std) + ("" if effect.unit == "1" else f" {format_unit(effect.unit)}")
     return f"{WORDS[effect.kind]} {size}" + ("" if effect.grade is Grade.ESTABLISHED else " (probable)")
 
 
