@@ -94,6 +94,7 @@ def test_a_logarithmic_output_is_the_regression_of_logarithms() -> None:
     assert result.noise.growth["y"].share == pytest.approx(rest.std(ddof=2), rel=1e-5)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("make", "noise"),
     [

@@ -232,9 +232,13 @@ def test_a_compiler_that_is_given_up_is_remembered_by_the_next_program(monkeypat
     # Once its work has taken several times as long the compiler is asked again.
     monkeypatch.setattr(gradual, "_orders", {})
     kernel = GradualKernel(step, None, pytest.fail, policy)
-    for _ in range(30):
+
+    def is_asked_again() -> bool:
         run(kernel)
         wait_for(lambda: not gradual._compiler_is_busy.locked())
+        return len(asked) > 1
+
+    wait_for(is_asked_again)
     assert len(asked) == 2
 
 
