@@ -285,9 +285,9 @@ def test_the_command_compares_writes_and_draws(run, tmp_path):
     assert saved["remarks"] == ["second.csv: output 'y' has 3 gaps in 90 rows"]
     assert saved["validation"] == ["first", "second"] and set(saved["data"]) == {"train", "first", "second"}
     names = sorted(p.name for p in (tmp_path / "out").iterdir())
-    figures = [f"comparison-{record}.{kind}" for record in ("first", "second") for kind in ("png", "svg")]
+    figures = [f"comparison-{record}.{kind}" for record in ("first", "second") for kind in ("pdf", "png", "svg")]
     assert names == ["compare.json", *figures]
-    assert all((tmp_path / "out" / n).read_bytes().startswith(b"\x89PNG") for n in figures[::2])
+    assert all((tmp_path / "out" / n).read_bytes().startswith(b"\x89PNG") for n in figures[1::3])
     (best, *_) = saved["findings"]
     assert (best["code"], best["subject"], best["values"]["model"]["name"]) == ("best_model", "y", "mass")
     assert saved["verdict"][0].startswith(

@@ -148,13 +148,13 @@ def test_an_effect_of_the_estimation_record_alone_is_no_answer(monkeypatch):
         effects=[gb.effect("sensor_drift"), gb.effect("input_offset")],
     )
     assert found.verdict is Verdict.UNKNOWN
-    assert found.effects == [] and found.claims == ()
+    # That something may be missing is no more than a guess: it is in one of the two records.
+    assert found.effects == [] and all(claim.grade is Grade.STAND_IN for claim in found.claims)
     assert finished == [()]
     assert found.best.parameters["gain"].value == found.base.parameters["gain"].value
     error = found.holdout["y"]
     assert error.after == error.before
-    (tried,) = with_code(found.conclusion, DiscoveryCode.NO_LOOK_ALIKE)
-    assert "sensor_drift" in tried.subject
+    assert not with_code(found.conclusion, DiscoveryCode.NEAREST_LOOK_ALIKE)  # nothing is said to be like it
     assert "takes" not in str(found).partition("candidate ")[0].replace("takes away", "")
     assert any("sensor_drift" in rank.effects for rank in found.ranking)  # what was tried is told
 

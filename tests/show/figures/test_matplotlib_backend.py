@@ -151,8 +151,8 @@ def test_each_file_is_drawn_once_and_equal_sheets_are_equal_files(tmp_path: Path
         save_sheet(
             sheet(Panel("p", (curve([0, 1], [1e4, -1e4]),), Axis("t"), Axis("a name"))), tmp_path / f"{name}.png"
         )
-    assert len(draws) == 4
-    for kind in ("png", "svg"):
+    assert len(draws) == 6
+    for kind in ("png", "svg", "pdf"):
         assert (tmp_path / f"one.{kind}").read_bytes() == (tmp_path / f"two.{kind}").read_bytes()
 
 
