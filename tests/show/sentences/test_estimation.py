@@ -246,8 +246,8 @@ GOLDEN = [
                 }
             ]
         },
-        "not constant: between experiment 'day 1' and experiment 'day 2', K changes from 10 to 12 N/m (4 times what noise"
-        " alone changes); it compensates for an effect that the model lacks, or the plant changes",
+        "not constant: between experiment 'day 1' and experiment 'day 2', K changes from 10 to 12 N/m (4 of its standard"
+        " deviations); it compensates for an effect that the model lacks, or the plant changes",
     ),
     (
         "parameter_not_constant",
@@ -272,8 +272,8 @@ GOLDEN = [
                 },
             ]
         },
-        "not constant: between the first half of the record and the second half of the record, K changes from 10 to 12 N/m (4"
-        " times what noise alone changes), B changes from 2 to 1 N*s/m (210 times what noise alone changes); "
+        "not constant: between the first half of the record and the second half of the record, K changes from 10 to 12 N/m (4 of its"
+        " standard deviations), B changes from 2 to 1 N*s/m (210 of its standard deviations); "
         "they compensate for an effect that the model lacks, or the plant changes",
     ),
     (
@@ -291,7 +291,7 @@ GOLDEN = [
                 }
             ]
         },
-        "not constant: between experiment 'a' and experiment 'b', K differs (35 times what noise alone changes); it compensates for an effect"
+        "not constant: between experiment 'a' and experiment 'b', K differs (35 of its standard deviations); it compensates for an effect"
         " that the model lacks, or the plant changes",
     ),
     (
