@@ -157,7 +157,8 @@ def test_every_number_that_is_told_stands_in_the_json(
     page = "".join(PageText((tmp_path / "report.html").read_text(encoding="utf-8")).parts)
     for where, text in (("text", done.stdout), ("page", page)):
         shown = list(shown_numbers(text))
-        assert len(shown) > 10, where
+        # An answer that names nothing has fewer.
+        assert len(shown) > (10 if "nothing that fits" in command else 20), where
         missing = [
             f"{number} {unit} in: {line[:160]}" for number, unit, line in shown if not is_stored(number, unit, stored)
         ]
