@@ -121,9 +121,9 @@ def _draw(result: Any) -> bytes:
     from greybox.extensions.changes.figures import plot_changes
     from greybox.show.figures.comparison import plot_model_errors
     from greybox.show.figures.discovery import plot_effect_signal, plot_surrogate
+    from greybox.show.figures.figure import Cell, Sheet
     from greybox.show.figures.matplotlib_backend import draw_sheet
     from greybox.show.figures.records import liveliest_window, plot_residuals_before_after, plot_run
-    from greybox.show.figures.sheet import Cell, Sheet
 
     window, panel = None, 0
     match type(result).__name__:

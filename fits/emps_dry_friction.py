@@ -17,7 +17,7 @@ from pathlib import Path
 
 import greybox as gb
 from fits import data_folder
-from greybox.base.findings import with_code
+from greybox.base.values import with_code
 from greybox.estimation.findings import EstimationCode
 from models.emps import emps
 

@@ -34,8 +34,7 @@ from greybox.discovery import claims
 from greybox.discovery.candidates import estimate_scales, family_of
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.result import Discovery
-from greybox.model.effects.catalogue import CATALOGUE
-from greybox.model.effects.placement import find_placements
+from greybox.model.effects.catalogue import CATALOGUE, find_placements
 from greybox.model.effects.scales import Scales, tailor_to_record
 from greybox.shell.project import find_model
 

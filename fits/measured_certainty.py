@@ -39,7 +39,7 @@ from greybox.discovery.claims import Depth
 from greybox.discovery.findings import DiscoveryCode
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.validate import validate
-from greybox.model.effects.placement import AT
+from greybox.model.effects.catalogue import AT
 from greybox.shell.project import load_model_file
 from greybox.simulation.kernel.c_compiler import find_compiler
 

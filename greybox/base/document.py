@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 from greybox.base.figure import Figure
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 
 Text: TypeAlias = Finding | str
 

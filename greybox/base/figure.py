@@ -2,7 +2,7 @@
 
 A figure is built once, from results, by the functions of `greybox.show.figures`. `greybox.show.figures.matplotlib_backend` draws it as PNG
 and SVG, `greybox.show.figures.plotly_backend` for a page; neither adds anything to what is shown. Colours are given by the role that a
-series plays, `greybox.show.figures.sheet` turns roles into colours.
+series plays, `greybox.show.figures.figure` turns roles into colours.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import IO, Any, BinaryIO, Generic, TypeVar
 
 from greybox.base.errors import DataError, GreyboxError, OutputError
-from greybox.base.findings import Finding, Severity
+from greybox.base.values import Finding, Severity
 
 if sys.platform != "win32":
     import fcntl

@@ -8,11 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from greybox.base.errors import DataError
-from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import SAME_SAMPLING_TIME, TINY
+from greybox.base.values import Finding, Severity
 from greybox.comparison.blackbox.best_models import best_black_boxes
-from greybox.comparison.blackbox.cross_validation import Fold, hold_out
-from greybox.comparison.blackbox.resample import keep_measured_rows, match_sampling_time, resample
+from greybox.comparison.blackbox.resample import Fold, hold_out, keep_measured_rows, match_sampling_time, resample
 from greybox.comparison.blackbox.structure_scan import AS_GOOD
 from greybox.comparison.blackbox.subspace import StateSpaceModel, SubspaceOutput, scan_orders, subspace
 from greybox.comparison.compare import NamedModel

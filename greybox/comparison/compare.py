@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from greybox.base.errors import DataError
-from greybox.base.findings import Finding, Severity, with_code
 from greybox.base.numerics import INTEGRATING_POLE
+from greybox.base.values import Finding, Severity, with_code
 from greybox.comparison.blackbox.polynomial import InitialChoice
 from greybox.comparison.blackbox.resample import match_sampling_time
 from greybox.comparison.result import (

@@ -10,10 +10,9 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from greybox.base.findings import Finding
 from greybox.base.json_file import read_json, write_json
 from greybox.base.json_shape import FileKind
-from greybox.base.values import Printable
+from greybox.base.values import Finding, Printable
 from greybox.comparison.blackbox.structure_scan import StructureScanPolicy
 from greybox.data.experiment import Experiment
 from greybox.estimation.errors import OutputRun, OutputScore

@@ -16,8 +16,8 @@ from greybox.estimation.identifiability.structural import analyse_structural_ide
 from greybox.estimation.reading_errors import GAINS
 from greybox.model import Effect, Model
 from greybox.model.effects import Scales, all_effects, applicable_effects, measure_scales, tailor_to_record
-from greybox.model.effects.placement import AT
-from greybox.model.effects.starts import list_effect_values, within_bounds
+from greybox.model.effects.catalogue import AT
+from greybox.model.effects.scales import list_effect_values, within_bounds
 from greybox.model.parts import RigParts, read_parts
 
 

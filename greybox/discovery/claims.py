@@ -35,8 +35,7 @@ from greybox.discovery.residual_noise import SECOND_BRANCH, has_memory
 from greybox.discovery.surrogate_effects import CLOCK, CURVE, LINEAR_DYNAMICS, TONE
 from greybox.discovery.table import BlockSums, Draws
 from greybox.model import Effect, Model
-from greybox.model.effects.catalogue import all_effects
-from greybox.model.effects.placement import AT
+from greybox.model.effects.catalogue import AT, all_effects
 from greybox.model.system import BoundEffect
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from greybox.base.findings import Check
+from greybox.base.values import Check
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.holdout import PARTIAL_SHARE, VISIBLE_RMS, HoldoutError, worst_output

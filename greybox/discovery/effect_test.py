@@ -19,8 +19,7 @@ from greybox.estimation.fit import fit as fit_model
 from greybox.estimation.validate import validate
 from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import effect
-from greybox.model.effects.scales import tailor_to_record
-from greybox.model.effects.starts import AMPLITUDE_GRID
+from greybox.model.effects.scales import AMPLITUDE_GRID, tailor_to_record
 
 
 @dataclass(frozen=True, eq=False)

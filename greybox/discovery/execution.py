@@ -18,12 +18,12 @@ from threadpoolctl import threadpool_limits
 
 from greybox.base.errors import NUMERICAL_ERRORS, FitError, GreyboxError
 from greybox.base.files import add_entry, read_journal
-from greybox.base.findings import Finding
 from greybox.base.interrupts import hold_interrupts
 from greybox.base.json_file import find_offence
 from greybox.base.json_shape import FileKind, Finite, from_json_data, to_json_data
 from greybox.base.parallel.jobs import JobResult, run_jobs
 from greybox.base.parallel.local_pool import count_cores, open_local_pool
+from greybox.base.values import Finding
 from greybox.model.model import Model
 
 # What failed during a search, and why. A candidate or a stage that fails is out; the search goes on and the reason is kept.

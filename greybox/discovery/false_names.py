@@ -53,7 +53,7 @@ from greybox.discovery.search import HOPELESS_COST
 from greybox.discovery.surrogate_effects import SOURCE
 from greybox.discovery.table import FitTable, FittedSet, LinearisedSet, draw_sets, linearise_set
 from greybox.model import Effect, Model
-from greybox.model.effects.placement import AT
+from greybox.model.effects.catalogue import AT
 from greybox.model.signals import Expression, Input, NamedValues, Parameter
 
 # Contests at first: of eleven that nothing wins the rate is below 24 % with 95 % confidence, less than an established claim may be wrong.

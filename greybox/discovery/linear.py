@@ -23,8 +23,7 @@ from greybox.discovery.execution import FailureLog, SearchStage
 from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.table import RIDGE, LinearisedSet
 from greybox.model import Effect, Model, System
-from greybox.model.effects.scales import Scales
-from greybox.model.effects.starts import count_starts, list_effect_values, within_bounds
+from greybox.model.effects.scales import Scales, count_starts, list_effect_values, within_bounds
 from greybox.simulation.integrators.step import call_function
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.linearise import linearise_along

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.discovery.candidates import family_of
 from greybox.discovery.claims import LEAST_SHARE, Weights
 from greybox.discovery.decision import Grade
@@ -22,8 +22,7 @@ from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.residual_noise import is_shape_correction
 from greybox.discovery.table import Draws, draw_sets
 from greybox.model import Model
-from greybox.model.effects.catalogue import all_effects
-from greybox.model.effects.placement import AT
+from greybox.model.effects.catalogue import AT, all_effects
 from greybox.model.parts import PARTS, RigParts, read_parts
 
 

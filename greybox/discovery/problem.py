@@ -24,7 +24,7 @@ from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
 from greybox.estimation.transcription.select import TranscriptionChoice, select_transcription
 from greybox.estimation.transcription.shooting_cost import Evaluation
-from greybox.model.definition import identify
+from greybox.model.equations import identify
 from greybox.model.model import Model
 
 StartValues = Mapping[str, float]

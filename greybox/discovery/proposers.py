@@ -29,9 +29,9 @@ from greybox.discovery.search import HOPELESS_COST, EffectSearch
 from greybox.discovery.surrogate import QUICK_ITERATIONS, refit_free_curves
 from greybox.discovery.surrogate_effects import CURVE, make_linear_path
 from greybox.model import Effect
+from greybox.model.effects.catalogue import AT, find_placements
 from greybox.model.effects.catalogue import effect as catalogue_effect
-from greybox.model.effects.placement import AT, find_placements
-from greybox.model.effects.starts import AMPLITUDE_GRID
+from greybox.model.effects.scales import AMPLITUDE_GRID
 
 # Iterations of these refits; they start near where they end.
 OBJECTION_ITERATIONS = 30

@@ -20,8 +20,7 @@ from greybox.discovery.execution import RefitJob
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.discovery.surrogate_effects import CURVE, LINEAR_DYNAMICS, make_curve_effect, make_power_effect
 from greybox.model.effect import Effect
-from greybox.model.effects.scales import Scales
-from greybox.model.effects.starts import AMPLITUDE_GRID
+from greybox.model.effects.scales import AMPLITUDE_GRID, Scales
 
 # Sources of a noise level that do not depend on the records that are fitted.
 INDEPENDENT_SOURCES = (NoiseSource.GIVEN, NoiseSource.QUIET_RECORD)

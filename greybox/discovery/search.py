@@ -14,8 +14,8 @@ from itertools import combinations
 
 import numpy as np
 
-from greybox.base.findings import Check, Finding
 from greybox.base.numerics import TINY
+from greybox.base.values import Check, Finding
 from greybox.discovery.candidates import family_of, generate_child_starting_points, generate_starting_points
 from greybox.discovery.claims import Weights
 from greybox.discovery.decision import EXCESS_AUTOCORRELATION, make_check
@@ -33,9 +33,8 @@ from greybox.discovery.problem import (
 from greybox.discovery.residual_noise import excess_autocorrelation, is_level_known, is_shape_correction
 from greybox.discovery.table import Draws, FitTable, SetKey, draw_sets, key_of
 from greybox.model import Effect
-from greybox.model.effects.placement import AT
-from greybox.model.effects.scales import Scales
-from greybox.model.effects.starts import AMPLITUDE_GRID, FEW_SHAPES, count_shapes, count_starts
+from greybox.model.effects.catalogue import AT
+from greybox.model.effects.scales import AMPLITUDE_GRID, FEW_SHAPES, Scales, count_shapes, count_starts
 from greybox.model.parts import Occurrence, read_parts
 
 MessageCallback = Callable[[str], None]

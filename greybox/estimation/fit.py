@@ -69,9 +69,16 @@ from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
 from greybox.estimation.validate import validate
 from greybox.model import Effect, Model, equations_text
-from greybox.model.definition import declare
-from greybox.model.effects.scales import Scales, bound_delays, measure_scales
-from greybox.model.effects.starts import MANY_SHAPES_STARTS, count_starts, is_neutral, list_effect_values
+from greybox.model.effects.scales import (
+    MANY_SHAPES_STARTS,
+    Scales,
+    bound_delays,
+    count_starts,
+    is_neutral,
+    list_effect_values,
+    measure_scales,
+)
+from greybox.model.equations import declare
 from greybox.simulation.plant import Plant, as_model
 from greybox.simulation.plant_kernel import PlantKernel
 from greybox.simulation.records import to_experiments

@@ -30,8 +30,8 @@ from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
 from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
 from greybox.model import Model
-from greybox.model.definition import identify
-from greybox.model.effects.starts import list_effect_values
+from greybox.model.effects.scales import list_effect_values
+from greybox.model.equations import identify
 from greybox.simulation.plant import Plant, as_model
 
 

@@ -17,7 +17,7 @@ from greybox.estimation.findings import (
 )
 from greybox.estimation.result_parts import Estimate, Trace
 from greybox.model import Model
-from greybox.model.effects.placement import AT
+from greybox.model.effects.catalogue import AT
 
 # What a fit and its records say of the instruments and not of the plant.
 OF_INSTRUMENTS = frozenset(

@@ -19,8 +19,8 @@ from greybox.data.noise import BoundDirection
 from greybox.data.problems import RowLabels, find_array_problems
 from greybox.estimation import result_parts
 from greybox.model import Model
-from greybox.model.definition import compare_definition
-from greybox.model.process_noise import intensity_name
+from greybox.model.equations import compare_definition
+from greybox.model.system import intensity_name
 from greybox.simulation.plant import Plant, as_model
 
 

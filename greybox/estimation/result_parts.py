@@ -541,7 +541,7 @@ class Provenance(ReadOnly):
     equations
         Those of the model.
     declared
-        What else its model stated (`greybox.model.definition.declare`): constants with units and bounds, starts of states, the plant.
+        What else its model stated (`greybox.model.equations.declare`): constants with units and bounds, starts of states, the plant.
     versions
         Program -> version of what computed it.
     start

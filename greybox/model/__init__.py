@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from greybox.model.characteristic import Characteristic
     from greybox.model.effect import DryFriction, Effect
     from greybox.model.equations import equations_text
+    from greybox.model.expressions.printer import docstring, literal
     from greybox.model.model import Model
-    from greybox.model.python_text import docstring, literal
     from greybox.model.signals import Input, Output, Parameter, State
     from greybox.model.system import System
     from greybox.model.validation import Rule

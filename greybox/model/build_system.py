@@ -11,9 +11,8 @@ import casadi as ca
 from greybox.base import MissingNameError, ModelError, nearest
 from greybox.base.numerics import STATE_BOUND_MARGIN
 from greybox.base.units import ONE, SECOND, format_unit, parse_unit
-from greybox.model import process_noise, ties, unit_check, validation
-from greybox.model.algebraic import AlgebraicState, eliminate, solve_relations, stores_nothing
-from greybox.model.balance import Balance
+from greybox.model import ties, unit_check, validation
+from greybox.model.balance import AlgebraicState, Balance, eliminate, solve_relations, stores_nothing
 from greybox.model.effect import (
     EVERY_BALANCE,
     InputDelay,
@@ -34,6 +33,7 @@ from greybox.model.system import (
     PlacedEffect,
     Statement,
     System,
+    build_diffusion,
     named_symbols,
 )
 
@@ -129,7 +129,7 @@ def build_system(statement: Statement) -> System:
 
     plant_symbols = {s.name: x[s.name] for s in statement.states}
     p = ties.apply_ties(statement.ties, p)
-    diffusion = process_noise.build_diffusion(dynamic, effects, p)
+    diffusion = build_diffusion(dynamic, effects, p)
     x, u, p, before = _transform_signals(statement, effects, x, u, p)
     items: tuple[Item, ...] = (*statement.states, *statement.inputs, *every)
     units = {item.name: item.unit for item in items}

@@ -12,12 +12,21 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import ModelError, Printable, nearest
-from greybox.model import balance, build_system, process_noise, validation
+from greybox.model import balance, build_system, validation
 from greybox.model.effect import Effect
 from greybox.model.parts import check_parts
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
 from greybox.model.sites import Site
-from greybox.model.system import BoundEffect, Statement, System
+from greybox.model.system import (
+    BoundEffect,
+    Statement,
+    System,
+    check_process_noise,
+    find_noise_parameters,
+    find_noisy_states,
+    intensity_name,
+    noise_intensities,
+)
 from greybox.model.ties import Formula, Tie, apply_ties, as_formula, check_tie, check_tied_value, schedule_effect
 
 
@@ -102,7 +111,7 @@ class Model(Printable):
         check_parts(f"model {self.name!r}", self.has, self.lacks)
         system, parameters = self.system, self.all_parameters  # writing the equations out checks them
         validation.check_outputs_known(self.title, self.rules, [o.name for o in self.outputs])
-        process_noise.check_process_noise(self.title, system, parameters)
+        check_process_noise(self.title, system, parameters)
         validation.check_constants(self.title, self.rules, self._present_values)
 
     @cached_property
@@ -181,17 +190,17 @@ class Model(Printable):
     @cached_property
     def noisy_states(self) -> tuple[str, ...]:
         """States with process noise, or with an intensity that is free to become positive."""
-        return process_noise.find_noisy_states(self.system, self.all_parameters)
+        return find_noisy_states(self.system, self.all_parameters)
 
     @cached_property
     def noise_parameters(self) -> tuple[str, ...]:
         """Names of the parameters that are intensities of process noise and nothing else."""
-        return process_noise.find_noise_parameters(self.system)
+        return find_noise_parameters(self.system)
 
     @property
     def noise_intensities(self) -> dict[str, float]:
         """State -> present intensity of its process noise, in the state's unit over sqrt(s)."""
-        return process_noise.noise_intensities(self.system, self.all_parameters)
+        return noise_intensities(self.system, self.all_parameters)
 
     @property
     def title(self) -> str:
@@ -424,17 +433,17 @@ class Model(Printable):
         both = [n for n in estimated if n in known]
         if both:
             raise ModelError(f"process noise of {both[0]!r}: either estimated or known; name the state once")
-        noise: dict[str, float | str] = {**known, **{name: process_noise.intensity_name(name) for name in estimated}}
+        noise: dict[str, float | str] = {**known, **{name: intensity_name(name) for name in estimated}}
         added = [
             Parameter(
-                process_noise.intensity_name(name),
+                intensity_name(name),
                 f"({states[name].unit or '1'})/s^0.5",
                 0.0,
                 (0.0, math.inf),
                 description=f"intensity of the process noise of {name}",
             )
             for name in estimated
-            if process_noise.intensity_name(name) not in self.values
+            if intensity_name(name) not in self.values
         ]
         plant = tuple(replace(s, noise=noise[s.name]) if s.name in noise else s for s in self.states)
         effects = []

@@ -20,8 +20,7 @@ from enum import StrEnum
 import casadi as ca
 
 from greybox.base import MissingNameError, ModelError, nearest, parse_unit
-from greybox.model.algebraic import stores_nothing
-from greybox.model.balance import Balance
+from greybox.model.balance import Balance, stores_nothing
 from greybox.model.signals import Input, Output, State
 
 MOTION, STORE, PRESSURE, HEAT, VOLTAGE, ANGLE, SHAFT, FIRST_INPUT, DRIVE, VALVE, SENSOR = (

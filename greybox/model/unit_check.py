@@ -9,13 +9,11 @@ import casadi as ca
 
 from greybox.base.errors import ModelError, UnitError, nearest
 from greybox.base.units import ONE, Unit, format_unit, parse_unit, unit_name
-from greybox.model.algebraic import stores_nothing
-from greybox.model.balance import Balance
+from greybox.model.balance import Balance, stores_nothing
 from greybox.model.expressions.operations import UnitMismatchError
 from greybox.model.expressions.text import infer_unit
-from greybox.model.process_noise import intensity_unit
 from greybox.model.signals import NamedValues, names_by_role
-from greybox.model.system import Item, PlacedEffect, Statement, System
+from greybox.model.system import Item, PlacedEffect, Statement, System, intensity_unit
 from greybox.model.ties import apply_ties
 
 MEASURED = "measured value"  # what a sensor effect is given; the blank keeps it apart from a state of that name

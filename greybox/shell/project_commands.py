@@ -17,7 +17,7 @@ from greybox.shell.terminal import CommandCode, exit_with_error, print_findings,
 
 if TYPE_CHECKING:
     from greybox.model import Model
-    from greybox.model.effects.placement import EffectListing
+    from greybox.model.effects.catalogue import EffectListing
     from greybox.shell.project import ModelListing
 
 

@@ -36,8 +36,7 @@ def study_script(study: Study, path: Path, *, searched: Study | None = None) -> 
 
 def _is_shipped(name: str) -> bool:
     """Whether an effect is one of the catalogue, and none of the project."""
-    from greybox.model.effects.catalogue import all_effects
-    from greybox.model.effects.placement import AT
+    from greybox.model.effects.catalogue import AT, all_effects
 
     return name.partition(AT)[0] in {e.name for e in all_effects()}
 

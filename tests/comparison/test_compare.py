@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import greybox as gb
-from greybox.base.findings import with_code
+from greybox.base.values import with_code
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.result import Comparison, ComparisonFinding, ComparisonPolicy, load_comparison, save_comparison
 from greybox.shell.commands import app

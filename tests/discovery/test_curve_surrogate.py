@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.base.findings import with_code
+from greybox.base.values import with_code
 from greybox.discovery.curve_shape import Parity, ShapeKind
 from greybox.discovery.disturbance_sites import list_disturbance_sites
 from greybox.discovery.findings import DiscoveryCode

@@ -5,7 +5,7 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.base.findings import with_code
+from greybox.base.values import with_code
 from greybox.discovery.curve_shape import Parity, ShapeKind, classify_shape, rank_dependences
 from greybox.discovery.disturbance_sites import linearise_run
 from greybox.discovery.execution import RefitOutcome

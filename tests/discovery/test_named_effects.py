@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from greybox.base.errors import DataError
-from greybox.base.findings import with_code
+from greybox.base.values import with_code
 from greybox.data.experiment import Experiment
 from greybox.discovery.claims import ESTABLISHED_FROM, name_claim
 from greybox.discovery.decision import Verdict

@@ -9,7 +9,7 @@ import pytest
 
 import greybox as gb
 from greybox.base.errors import DataError, FitError, ModelError
-from greybox.base.findings import with_code
+from greybox.base.values import with_code
 from greybox.discovery import conclusion
 from greybox.discovery.claims import Depth
 from greybox.discovery.conclusion import judge_against_plain, judge_on_test

@@ -8,8 +8,8 @@ import pytest
 from greybox.discovery.candidates import generate_child_starting_points, generate_starting_points
 from greybox.discovery.problem import FittedCandidate
 from greybox.model.effect import Effect
+from greybox.model.effects.scales import count_shapes
 from greybox.model.effects.signal_path import list_lags
-from greybox.model.effects.starts import count_shapes
 from greybox.model.signals import Parameter
 from models.micro_actuator import micro_actuator
 from tests.support.fake_candidates import toy_effect

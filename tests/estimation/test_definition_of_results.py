@@ -8,9 +8,8 @@ import pytest
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State, fit, load_fit
 from greybox.base import DataError
 from greybox.estimation.result import ResultCode
-from greybox.model.definition import compare_definition, declare
 from greybox.model.effects import effect
-from greybox.model.equations import equations_text
+from greybox.model.equations import compare_definition, declare, equations_text
 
 
 def tank(

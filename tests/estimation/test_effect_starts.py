@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import greybox as gb
 from greybox import Balance, Model, Output, Parameter, State
-from greybox.model.effects.starts import is_neutral
+from greybox.model.effects.scales import is_neutral
 from tests.support.first_order import first_order
 from tests.support.pushed_mass import MASS
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from greybox.base.errors import DataError, FitError, ModelError
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.data.experiment import Experiment
 from greybox.data.findings import RecordCode
 from greybox.data.noise.noise_model import WHITE, BoundDirection, NoiseBound, NoiseModel, NoiseSource

@@ -10,7 +10,7 @@ import pytest
 import greybox as gb
 from greybox import Balance, GreyboxError, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError
-from greybox.base.findings import Severity
+from greybox.base.values import Severity
 from greybox.data.experiment import Experiment
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import SearchTrouble, fit, stands_where_it_began

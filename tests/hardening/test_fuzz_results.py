@@ -19,7 +19,7 @@ import pytest
 
 import greybox as gb
 from greybox.base.errors import GreyboxError
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.comparison.result import load_comparison
 from greybox.data.signals import SignalLimit
 from greybox.discovery.execution import RefitJournal, RefitOutcome

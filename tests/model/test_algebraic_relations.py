@@ -9,8 +9,7 @@ from greybox.base.errors import ModelError, UnitError
 from greybox.base.numerics import RELATION_MET
 from greybox.estimation.findings import EstimationCode
 from greybox.extensions.export.python_model import to_python
-from greybox.model.effects.catalogue import effect
-from greybox.model.effects.placement import find_placements
+from greybox.model.effects.catalogue import effect, find_placements
 from greybox.model.effects.scales import measure_scales
 from greybox.model.equations import equations_text
 from greybox.shell.project import find_model

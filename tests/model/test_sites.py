@@ -6,8 +6,7 @@ import pytest
 import greybox as gb
 from greybox import Balance, Effect, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError
-from greybox.model.effects.catalogue import CATALOGUE, applicable_effects, effect
-from greybox.model.effects.placement import find_placements
+from greybox.model.effects.catalogue import CATALOGUE, applicable_effects, effect, find_placements
 from greybox.model.effects.scales import measure_scales
 
 

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import greybox as gb
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.estimation.linear.exported_model import ExportFinding
 from greybox.shell.commands import app
 from models.micro_actuator import micro_actuator

@@ -7,8 +7,7 @@ import greybox as gb
 from fits.measured_certainty import is_same, judge_claim, round_trip, run_in_c, said, write_page
 from fits.measured_rigs import RIGS, SEARCHES
 from greybox.discovery.disturbance_sites import list_disturbance_sites
-from greybox.model.effects.catalogue import all_effects
-from greybox.model.effects.placement import AT
+from greybox.model.effects.catalogue import AT, all_effects
 
 
 def claim(depth: int, site: str, variables: tuple[str, ...] = (), family: tuple[str, ...] = (), name: str = "") -> dict:

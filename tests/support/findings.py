@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 
 
 def find(findings: Iterable[Finding], code: str) -> Finding | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from greybox.base.document import Later
 from greybox.base.errors import GreyboxError
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.show.sentences.registry import sentence
 
 MARKUP = (

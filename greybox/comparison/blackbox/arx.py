@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from greybox.base.errors import DataError, nearest
-from greybox.base.findings import Finding, Severity
+from greybox.base.values import Finding, Severity
 from greybox.comparison.blackbox.linear_regression import (
     Orders,
     RegressionHistory,

@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 
 from greybox.base.errors import DataError
-from greybox.comparison.blackbox.cross_validation import hold_out
 from greybox.comparison.blackbox.hammerstein import find_levels
 from greybox.comparison.blackbox.linear_regression import Origin, SampledData, to_sampled_data
+from greybox.comparison.blackbox.resample import hold_out
 from greybox.comparison.blackbox.structure_scan import (
     DEFAULT_SCAN,
     BlackBoxKind,

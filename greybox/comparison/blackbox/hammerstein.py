@@ -11,8 +11,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
 from greybox.base.errors import DataError, ModelError, nearest
-from greybox.base.findings import Finding
-from greybox.base.values import Printable
+from greybox.base.values import Finding, Printable
 from greybox.comparison.blackbox.linear_regression import (
     FunctionSignal,
     Orders,

@@ -13,9 +13,8 @@ from scipy.signal import lfilter
 
 from greybox.base import numerics
 from greybox.base.errors import DataError, nearest
-from greybox.base.findings import Finding
 from greybox.base.texts import to_identifiers
-from greybox.base.values import Printable
+from greybox.base.values import Finding, Printable
 from greybox.comparison.blackbox.linear_regression import (
     BlockFilter,
     Orders,

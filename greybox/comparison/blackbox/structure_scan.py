@@ -14,7 +14,6 @@ import numpy as np
 from greybox.base.errors import DataError, nearest
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.arx import fit_arx
-from greybox.comparison.blackbox.cross_validation import Fold
 from greybox.comparison.blackbox.hammerstein import HammersteinModel, fit_hammerstein
 from greybox.comparison.blackbox.linear_regression import SampledData, to_orders, to_sampled_data
 from greybox.comparison.blackbox.polynomial import PolynomialModel
@@ -25,6 +24,7 @@ from greybox.comparison.blackbox.prediction_error import (
     fit_prediction_error,
 )
 from greybox.comparison.blackbox.prediction_error_models import STARTS, make_structure
+from greybox.comparison.blackbox.resample import Fold
 from greybox.data.experiment import Experiment, as_records
 from greybox.estimation.optim.minimisation import TerminationPolicy
 

@@ -17,7 +17,6 @@ import numpy as np
 from scipy.signal import lfilter
 
 from greybox.base.errors import DataError, ModelError, nearest
-from greybox.base.findings import Finding
 from greybox.base.numerics import (
     CONFINED_ROOT_MARGIN,
     NEGLIGIBLE_SINGULAR_VALUE,
@@ -25,7 +24,7 @@ from greybox.base.numerics import (
     SAME_SAMPLING_TIME,
     TINY,
 )
-from greybox.base.values import Printable
+from greybox.base.values import Finding, Printable
 from greybox.comparison.blackbox.linear_regression import SampledRecord, Scaling, find_mean, to_sampled_record
 from greybox.comparison.blackbox.polynomial import InitialChoice, estimate_initial_state
 from greybox.data.experiment import Experiment, as_records

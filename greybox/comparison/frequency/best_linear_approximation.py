@@ -15,8 +15,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from greybox.base.errors import DataError, nearest
-from greybox.base.findings import Check
-from greybox.base.values import Printable
+from greybox.base.values import Check, Printable
 from greybox.comparison.frequency.response import FrequencyResponse
 from greybox.data.experiment import Experiment, as_records
 

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import HoldoutScores

@@ -30,8 +30,7 @@ from greybox.extensions.app.jobs import LAST_NEWS, Job, JobEvent, JobKind, JobNe
 from greybox.extensions.app.session import LoadedRecord, Session
 from greybox.extensions.export.python_model import to_python
 from greybox.model import Effect, Model, equations_text
-from greybox.model.effects.catalogue import all_effects
-from greybox.model.effects.placement import find_placements
+from greybox.model.effects.catalogue import all_effects, find_placements
 from greybox.model.parts import PARTS
 from greybox.model.system import Statement
 from greybox.show.describe import report

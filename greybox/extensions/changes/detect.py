@@ -13,8 +13,8 @@ import numpy as np
 from scipy.special import fdtrc
 
 from greybox.base.errors import DataError
-from greybox.base.findings import Check, Finding, Severity
 from greybox.base.numerics import TINY
+from greybox.base.values import Check, Finding, Severity
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.identity import find_shared_readings
 from greybox.data.noise.noise_model import AutoRegression

@@ -7,10 +7,17 @@ import math
 import numpy as np
 
 from greybox.base.figure import Axis, Band, Curve, Figure, Height, Panel, Points, Reference, Role, Scale, Series
-from greybox.extensions.changes.result import ChangeDetection
-from greybox.extensions.changes.sentences import is_determined
+from greybox.extensions.changes.result import ChangeDetection, ConstantChange
 from greybox.show.figures.figure import typeset_unit
-from greybox.show.sentences.wording import join_names, percent_text
+from greybox.show.sentences.wording import CHANGE_REACH, join_names, percent_text
+
+
+def is_determined(change: ConstantChange) -> bool:
+    """Whether the interval of a change is one whose figures say something."""
+    if change.interval is None:
+        return False
+    reach = max(map(abs, change.interval))
+    return math.isfinite(reach) and (not change.before or reach <= CHANGE_REACH * abs(change.before))
 
 
 def plot_changes(change: ChangeDetection) -> Figure | None:

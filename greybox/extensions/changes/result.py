@@ -8,10 +8,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, ClassVar, TypedDict
 
-from greybox.base.findings import Check, Finding
 from greybox.base.json_file import StoredResult, read_json
 from greybox.base.json_shape import FileKind, Interval
-from greybox.base.values import Printable
+from greybox.base.values import Check, Finding, Printable
 from greybox.discovery.decision import Grade
 from greybox.discovery.result import Discovery
 from greybox.estimation.result import Fit

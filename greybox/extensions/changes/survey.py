@@ -19,8 +19,8 @@ import numpy as np
 from scipy.special import ndtr, stdtr, stdtrit
 
 from greybox.base.errors import DataError
-from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import BISECTIONS, MEDIAN_OF_RANGE, NEARLY_NORMAL, TINY
+from greybox.base.values import Finding, Severity
 from greybox.data.experiment import Experiment
 from greybox.estimation.result import Fit
 from greybox.extensions.changes import detect

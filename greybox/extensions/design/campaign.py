@@ -38,8 +38,8 @@ from greybox.extensions.design.problem import (
 )
 from greybox.extensions.design.rig import find_broken_limits, read_record, run_rig
 from greybox.model import Model, equations_text
-from greybox.model.definition import compare_definition, declare
 from greybox.model.effects.catalogue import applicable_effects, effect
+from greybox.model.equations import compare_definition, declare
 from greybox.simulation.simulate import read_inputs
 
 StepCallback = Callable[[Path, Any], None]

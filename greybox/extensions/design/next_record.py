@@ -41,8 +41,7 @@ from greybox.extensions.design.problem import (
 from greybox.extensions.design.search import TriedInput, evaluate, find_bands, flat_multisine, kinds_of, search_inputs
 from greybox.model import Model
 from greybox.model.effects.catalogue import effect
-from greybox.model.effects.scales import tailor_to_record
-from greybox.model.effects.starts import AMPLITUDE_GRID
+from greybox.model.effects.scales import AMPLITUDE_GRID, tailor_to_record
 from greybox.simulation.plant import as_model, is_plant
 
 # What a design begins with: a model, a fit or a discovery, and rivals fitted to the same records.

@@ -16,10 +16,20 @@ from greybox.estimation.result import Fit
 from greybox.extensions.export.observer import Observer, write_observer_class
 from greybox.extensions.export.target import ExportTarget
 from greybox.model import Effect, Model, Rule, equations_text
-from greybox.model.effects.catalogue import all_effects
-from greybox.model.effects.placement import AT, place_effect
-from greybox.model.expressions.printer import NUMPY, PYTHON, Printer
-from greybox.model.python_text import INDENT, balance, call, docstring, items, keywords, literal, signal
+from greybox.model.effects.catalogue import AT, all_effects, place_effect
+from greybox.model.expressions.printer import (
+    INDENT,
+    NUMPY,
+    PYTHON,
+    Printer,
+    balance,
+    call,
+    docstring,
+    items,
+    keywords,
+    literal,
+    signal,
+)
 from greybox.model.signals import NamedValues, State, names_by_role
 from greybox.model.system import BoundEffect, named_symbols
 

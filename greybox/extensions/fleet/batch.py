@@ -33,7 +33,7 @@ from greybox.estimation.options import ColourTreatment, FitOptions, resolve_opti
 from greybox.extensions.fleet.records import RecordCollection, RecordReference, find_records
 from greybox.extensions.fleet.result import FleetResult, RecordEstimate, RecordStatus
 from greybox.model import Model
-from greybox.model.definition import identify
+from greybox.model.equations import identify
 from greybox.simulation.plant import Plant, PlantModel, as_model
 
 Item = Experiment | RecordReference

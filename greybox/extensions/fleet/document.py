@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from greybox.base import Severity
+from greybox.base import Finding, Severity
 from greybox.base import document as doc
 from greybox.base.figure import Axis, Bars, Figure, Panel, Reference, Role, Series
 from greybox.extensions.fleet.result import ConstantDistribution, FleetCode, FleetResult, RecordEstimate
 from greybox.show.documents.tables import provenance_section, worst_first
 from greybox.show.figures.figure import typeset_unit
-from greybox.show.sentences.registry import sentence
+from greybox.show.sentences.registry import register, sentence
 from greybox.show.sentences.wording import (
     count_noun,
     format_number,
@@ -191,3 +191,27 @@ def _cell(record: RecordEstimate, name: str) -> str:
 
 DOCUMENTS = {"FleetResult": describe_fleet}
 """Class of a result -> the function that describes it."""
+
+
+def _fitted(finding: Finding) -> str:
+    v = finding.values
+    if v["fitted"] == v["records"]:
+        return f"all {count_noun(v['records'], 'record')} {'was' if v['records'] == 1 else 'were'} fitted"
+    return f"{v['fitted']} of {count_noun(v['records'], 'record')} were fitted"
+
+
+register(
+    {
+        FleetCode.RECORDS_FITTED: _fitted,
+        FleetCode.RECORDS_LEFT: "{left} of {records} records were not begun: the same call with the journal goes on from here",
+        FleetCode.RECORD_WITHOUT_RESULT: "record {subject} has no result: {reason}",
+        FleetCode.RECORDS_ALIKE: lambda f: (
+            f"record {f.subject} is the same measurement as {f.values['first']}"
+            + (f", and {count_noun(f.values['pairs'] - 1, 'other record')} so" if f.values["pairs"] > 1 else "")
+            + ": the fleet counts it twice; leave one out"
+        ),
+        FleetCode.FINDING_COUNT: lambda f: (
+            f"{f.values['records']} of {count_noun(f.values['of'], 'record')}, {f.subject} the first: {f.values['sentence']}"
+        ),
+    }
+)

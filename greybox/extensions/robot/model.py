@@ -21,7 +21,7 @@ from greybox.extensions.robot.result import RobotCode, RobotIdentification
 from greybox.extensions.robot.rigid_body import RigidBody
 from greybox.model import Balance, Block, Input, Model, Output, Parameter, State
 from greybox.model.effects.catalogue import effect as catalogue_effect
-from greybox.model.effects.placement import place_effect
+from greybox.model.effects.catalogue import place_effect
 from greybox.model.signals import NamedValues
 
 # Kinds of `greybox.extensions.robot.joint_effects` that are constants of the model; and those that are effects of the catalogue, with their

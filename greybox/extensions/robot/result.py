@@ -8,10 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.base.findings import Finding
 from greybox.base.json_file import StoredResult
 from greybox.base.json_shape import FileKind, Interval
-from greybox.base.values import Printable
+from greybox.base.values import Finding, Printable
 from greybox.discovery.decision import Grade
 
 

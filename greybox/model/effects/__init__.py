@@ -12,13 +12,21 @@ from typing import TYPE_CHECKING
 from greybox.base.faces import lazy_face
 
 if TYPE_CHECKING:
-    from greybox.model.effects.catalogue import CATALOGUE, all_effects, applicable_effects, effect
+    from greybox.model.effects.catalogue import (
+        CATALOGUE,
+        EffectListing,
+        Placement,
+        all_effects,
+        applicable_effects,
+        effect,
+        find_placements,
+        place_effect,
+    )
     from greybox.model.effects.elasticity import CONTACT, ELASTICITY
     from greybox.model.effects.electrical import ELECTRICAL, THERMAL
     from greybox.model.effects.flow import FLOW, LEVEL
     from greybox.model.effects.formula import formula_effect
     from greybox.model.effects.friction import DAMPING, FRICTION
-    from greybox.model.effects.placement import EffectListing, Placement, find_placements, place_effect
     from greybox.model.effects.roles import ROLES, SignalRole
     from greybox.model.effects.rotation import LOAD, ROTATION
     from greybox.model.effects.scales import Scales, bound_delays, measure_scales, tailor_to_record

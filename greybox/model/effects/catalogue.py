@@ -10,14 +10,20 @@ law, ``linear_input`` and ``band_limited_input`` say how the input moves between
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
-from greybox.base import ModelError, nearest
+from greybox.base import Printable, nearest
+from greybox.base.errors import MissingNameError, ModelError, UnitError
 from greybox.base.extensions import ExtensionKind, load_extensions, reserve
 from greybox.model.effect import Effect
-from greybox.model.effects import elasticity, electrical, flow, friction, placement, rotation, signal_path
+from greybox.model.effects import elasticity, electrical, flow, friction, rotation, signal_path
 from greybox.model.effects.scales import Scales, tailor_to_record
 from greybox.model.model import Model
+from greybox.model.signals import Parameter
+from greybox.model.sites import FIRST_INPUT, ROLE_OF_WORD, PlaceKind, find_sites
 
 # Every effect that comes with the library, one value each, grouped by domain. Look one up with `effect`.
 CATALOGUE: tuple[Effect, ...] = (
@@ -68,9 +74,9 @@ def effect(name: str) -> Effect:
     '-Fc sign(v)'
     """
     entries = {entry.name: entry for entry in all_effects()}
-    base, at, site = name.partition(placement.AT)
+    base, at, site = name.partition(AT)
     if name not in entries and at and base in entries:
-        return placement.place_effect(entries[base], site)
+        return place_effect(entries[base], site)
     if name not in entries:
         raise ModelError(f"the catalogue has no effect {name!r}; {nearest(name, list(entries))}")
     return entries[name]
@@ -106,12 +112,164 @@ def applicable_effects(model: Model, scales: Scales | None = None) -> list[Effec
     wanted = {effect(name).name for name in model.candidates}
     # A model says what the plant may lack; what a record has wrong is no part of the plant.
     if wanted:
-        wanted |= {p.name for p in placement.find_placements(model, signal_path.MISREAD)}
-    entries = tuple(
-        e for e in all_effects() if not wanted or any(name.partition(placement.AT)[0] == e.name for name in wanted)
-    )
-    placed = [p.effect for p in placement.find_placements(model, entries) if p.effect is not None]
+        wanted |= {p.name for p in find_placements(model, signal_path.MISREAD)}
+    entries = tuple(e for e in all_effects() if not wanted or any(name.partition(AT)[0] == e.name for name in wanted))
+    placed = [p.effect for p in find_placements(model, entries) if p.effect is not None]
     fitting = [entry for entry in placed if not wanted or entry.name in wanted]
     names = {entry.name for entry in (*fitting, *model.effects)}
     fitting = [e for e in fitting if e.name in wanted or not (e.stands_for and names.issuperset(e.stands_for))]
     return [tailor_to_record(entry, scales) for entry in fitting] if scales else fitting
+
+
+# Where in a model an effect may act: at its first site under its own name, elsewhere as ``<name>_at_<site>``.
+
+
+AT = "_at_"
+
+
+@dataclass(frozen=True)
+class Placement:
+    """An effect of the catalogue and one place for it, or why there is none.
+
+    Parameters
+    ----------
+    name
+        Of the effect there.
+    site
+        Balance, input or output; empty where the model has no such site.
+    effect
+        The effect as it acts there; None where it cannot.
+    reason
+        Why it cannot.
+    missing
+        What the model lacks for it, as far as that is a site, a signal or a parameter: its kind and its name or role.
+    parameters
+        Its parameters with the names and units that they have in the model.
+    """
+
+    name: str
+    site: str
+    effect: Effect | None = None
+    reason: str = ""
+    parameters: tuple[Parameter, ...] = ()
+    missing: tuple[str, str] | None = None
+
+
+@dataclass(frozen=True)
+class _AtSite:
+    """A function of scales that sees those of one site; ``scales`` is its last argument."""
+
+    function: Callable[..., Any]
+    site: str
+
+    def __call__(self, *arguments: Any) -> Any:
+        *others, scales = arguments
+        return self.function(*others, scales.at(self.site) if isinstance(scales, Scales) else scales)
+
+
+@dataclass(frozen=True)
+class EffectListing(Printable):
+    """Effects and their places in a model, or in any model; ``str`` lists them.
+
+    Parameters
+    ----------
+    model
+        Title of the model; empty for the catalogue alone.
+    entries
+        The effects.
+    placements
+        Their places in the model, and why some have none.
+    """
+
+    model: str
+    entries: tuple[Effect, ...]
+    placements: tuple[Placement, ...] = ()
+
+
+def place_effect(entry: Effect, site: str) -> Effect:
+    """An effect of the catalogue at another site than its first, as ``<name>_at_<site>``.
+
+    Parameters
+    ----------
+    entry
+        The effect.
+    site
+        Name or label of a balance, an input or an output.
+
+    Returns
+    -------
+    Effect
+        The same with another name and site; its parents act there too.
+    """
+    return replace(
+        _measured_at(entry, site),
+        name=f"{entry.name}{AT}{site}",
+        site=site,
+        parents=tuple(f"{parent}{AT}{site}" for parent in entry.parents),
+        approaches=tuple(f"{simpler}{AT}{site}" for simpler in entry.approaches),
+        stands_for=tuple(f"{name}{AT}{site}" for name in entry.stands_for),
+    )
+
+
+def find_placements(model: Model, entries: tuple[Effect, ...]) -> list[Placement]:
+    """Every place that a model has for these effects, and for each effect without one the reason.
+
+    An effect that changes parameters, terms or states of the plant acts at one place only.
+
+    Parameters
+    ----------
+    model
+        A model; an effect that it contains already has no place.
+    entries
+        Effects of the catalogue.
+
+    Returns
+    -------
+    list of Placement
+        In the order of the entries, the first site of each first.
+
+    Raises
+    ------
+    UnitError
+        If an effect fits but its term has not the unit of its balance: a mistake in the catalogue.
+    """
+    return [placement for entry in entries for placement in _placements_of(model, entry)]
+
+
+def _placements_of(model: Model, entry: Effect) -> list[Placement]:
+    places = find_sites(entry.site, model.sites, model.inputs)
+    if not places:
+        return [_try(model, entry, "")]
+    one_place = entry.on_parameter or entry.on_term or entry.on_state or entry.on_storage
+    first = entry
+    other_input = (
+        entry.site != FIRST_INPUT and places[0].kind is PlaceKind.INPUT and places[0].name != model.inputs[0].name
+    )
+    if other_input or entry.site in ROLE_OF_WORD:
+        first = _measured_at(entry, places[0].name)
+    placements = [_try(model, first, places[0].name)]
+    for place in () if one_place else places[1:]:
+        attempt = _try(model, place_effect(entry, place.label), place.name)
+        if attempt.effect is not None:
+            placements.append(attempt)
+    return placements
+
+
+def _try(model: Model, entry: Effect, site: str) -> Placement:
+    if entry.name in {e.name for e in model.effects}:
+        return Placement(entry.name, site, None, "the model contains it already")
+    try:
+        changed = model + entry  # writing the equations out asks for every site, role, term and unit
+    except UnitError:
+        raise
+    except MissingNameError as error:
+        return Placement(entry.name, site, None, str(error), missing=(error.kind, error.name))
+    except ModelError as error:
+        return Placement(entry.name, site, None, str(error))
+    return Placement(entry.name, site, entry, "", changed.bound_effects[-1].parameters)
+
+
+def _measured_at(entry: Effect, site: str) -> Effect:
+    hooks = {name: getattr(entry, name) for name in ("probe", "grid", "limits", "from_parent")}
+    measured: dict[str, Any] = {name: _AtSite(function, site) for name, function in hooks.items() if function}
+    return replace(entry, **measured)

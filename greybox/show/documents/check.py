@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from greybox.base import Finding
 from greybox.base import document as doc
+from greybox.base.document import Document, Later, TableBlock
 from greybox.data.experiment import collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.estimation.check import ModelCheck
 from greybox.estimation.identifiability.practical import ExpectedPrecision
 from greybox.model import equations_text
+from greybox.model.parts import PARTS
 from greybox.show.documents.fit import OPEN_RECORDS
 from greybox.show.documents.tables import (
     format_sampling_time,
@@ -23,9 +26,12 @@ from greybox.show.figures.figure import stretches_on_page
 from greybox.show.figures.fit import plot_intervals
 from greybox.show.figures.records import plot_inputs, plot_outputs
 from greybox.show.sentences.identifiability import describe_inputs, describe_verdict
-from greybox.show.sentences.model import write_places
+from greybox.show.sentences.model import shorten_reason, write_places, write_units
 from greybox.show.sentences.registry import sentence
-from greybox.show.sentences.wording import capitalise, format_number, join_names, percent_text, record_text
+from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, percent_text, record_text
+
+if TYPE_CHECKING:
+    from greybox.model.effects import EffectListing
 
 
 def describe_check(check: ModelCheck, *, command: str = "") -> doc.Document:
@@ -274,3 +280,57 @@ def _noise(check: ModelCheck) -> str:
     units = {o.name: o.unit for o in check.model.outputs}
     sizes = ", ".join(f"{name} {format_number(std, 3)} {units[name]}".rstrip() for name, std in check.noise.items())
     return "; ".join([sizes, *map(str, (check.noise_model, *check.excluded))])
+
+
+# The effects of the catalogue, and where they find a place in a model.
+
+
+HEAD = ("effect", "at", "parameters", "equation")
+
+
+def describe_effects(listing: EffectListing) -> Document:
+    """How many effects there are, by site; each with its parameters and its equation, and why some have no place."""
+    taken = [p for p in listing.placements if p.effect is not None]
+    if listing.model:
+        answer = (
+            f"{listing.model} takes {count_noun(len(taken), 'effect')} of {len(listing.placements)} that are known."
+        )
+        sites = [(p.site, p.name) for p in taken]
+    else:
+        answer, sites = (
+            f"{count_noun(len(listing.entries), 'effect')} can be added to a model.",
+            [(e.site, e.name) for e in listing.entries],
+        )
+    full = list(_tables(listing))
+    if len(sites) == 1:
+        return Document("Effects", f"{sites[0][1]} acts at {sites[0][0]}.", table=full[: 1 + bool(listing.model)])
+    return Document("Effects", answer, table=[_by_site(sites)], details=Later(lambda: full))
+
+
+def _by_site(sites: Sequence[tuple[str, str]]) -> TableBlock:
+    groups: dict[str, list[str]] = {}
+    for site, name in sites:
+        groups.setdefault(site, []).append(name)
+    return TableBlock(
+        "Effects by site",
+        ["acts at", "effects"],
+        [[site or "anywhere", ", ".join(names)] for site, names in groups.items()],
+    )
+
+
+def _tables(listing: EffectListing) -> Iterator[TableBlock]:
+    if not listing.model:
+        yield TableBlock(
+            "Effects", HEAD, [[e.name, e.site, write_units(e.parameters), e.equation] for e in listing.entries]
+        )
+        yield TableBlock("Parts that a rig has or lacks", ["part", "what it is"], [[p.name, p.meaning] for p in PARTS])
+        return
+    rows = [
+        [p.name, p.site, write_units(p.parameters), p.effect.equation]
+        for p in listing.placements
+        if p.effect is not None
+    ]
+    yield TableBlock("Effects", HEAD, rows)
+    refused = [[p.name, shorten_reason(p)] for p in listing.placements if p.effect is None]
+    if refused:
+        yield TableBlock("Effects without a place", ["effect", "why it has no place"], refused)

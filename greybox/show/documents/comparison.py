@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from greybox.base import document as doc
 from greybox.base import format_unit
-from greybox.base.findings import Finding, with_code
 from greybox.base.numerics import TINY
+from greybox.base.values import Finding, with_code
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonFinding
 from greybox.estimation.result import Fit
 from greybox.show.documents.fit import OPEN_RECORDS, not_drawn

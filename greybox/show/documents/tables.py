@@ -15,7 +15,7 @@ from greybox.base import Finding, Severity, format_unit, read_versions
 from greybox.base import document as doc
 from greybox.estimation import Fit, FitOptions, Trace
 from greybox.model import Balance, Model, equations_text
-from greybox.model.algebraic import stores_nothing
+from greybox.model.balance import stores_nothing
 from greybox.model.expressions.operations import Binding
 from greybox.model.expressions.printer import Printed
 from greybox.model.expressions.text import LATEX, expression_latex, symbol_latex

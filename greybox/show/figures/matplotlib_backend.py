@@ -20,8 +20,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from greybox.base import figure as fig
 from greybox.base import to_line, write_file
-from greybox.show.figures.figure import thin_curve, typeset_exponents, write_cell
-from greybox.show.figures.sheet import PALETTE, Cell, Sheet
+from greybox.show.figures.figure import PALETTE, Cell, Sheet, thin_curve, typeset_exponents, write_cell
 
 MARKERS = {fig.Symbol.CIRCLE: "o", fig.Symbol.DIAMOND: "D", fig.Symbol.SQUARE: "s", fig.Symbol.CROSS: "x"}
 LINES = {fig.Dash.SOLID: "-", fig.Dash.DASHED: "--", fig.Dash.DOTTED: ":"}

@@ -18,9 +18,8 @@ from greybox.estimation.residuals import ResidualTests
 from greybox.show.figures import discovery as search_figures
 from greybox.show.figures import records as record_figures
 from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
-from greybox.show.figures.figure import draw_sizes
+from greybox.show.figures.figure import Cell, Sheet, draw_sizes
 from greybox.show.figures.fit import plot_residual_tests
-from greybox.show.figures.sheet import Cell, Sheet
 from greybox.show.sentences.discovery import surrogate_title
 from greybox.show.sentences.wording import ratio_text, record_text
 

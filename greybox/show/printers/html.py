@@ -30,9 +30,8 @@ from markupsafe import Markup
 
 from greybox.base import DataError, Finding, write_file
 from greybox.base.document import Block, Details, Document, FigureBlock, FileLink, Text
-from greybox.show.figures.figure import raise_powers, typeset_number
+from greybox.show.figures.figure import PALETTE, raise_powers, typeset_number
 from greybox.show.figures.plotly_backend import css_variable, height_on_page, to_plotly
-from greybox.show.figures.sheet import PALETTE
 from greybox.show.sentences.registry import sentence
 from greybox.show.sentences.wording import as_sentence
 

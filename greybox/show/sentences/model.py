@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from greybox.base import format_unit
 from greybox.model import equations_text
-from greybox.model.effects.placement import AT
+from greybox.model.effects.catalogue import AT
 from greybox.model.effects.roles import ROLES
 from greybox.model.effects.signal_path import MISREAD
 from greybox.model.expressions.text import number_text

@@ -17,7 +17,7 @@ Writer = Callable[[Any], str | Sequence[Any]]
 
 _templates: dict[str, Template] = {}
 _writers: dict[str, Writer] = {}
-# Packages that bring a module ``sentences`` of their own.
+# Packages that bring their sentences in a module ``document`` of their own.
 EXTENSIONS = "greybox.extensions"
 
 
@@ -108,11 +108,11 @@ def _load_for(kind: type) -> None:
 
 
 def _sentences_of(module: str) -> list[str]:
-    """``greybox.estimation.linear.sampling`` -> the modules ``estimation`` and ``linear`` here; an extension has its own ``sentences``."""
+    """``greybox.estimation.linear.sampling`` -> the modules ``estimation`` and ``linear`` here; an extension has its own ``document``."""
     if module.startswith("greybox.") and not module.startswith(f"{EXTENSIONS}."):
         return [f"{__package__}.{part}" for part in module.split(".") if part in _modules()]
     package = module.rpartition(".")[0]
-    beside = f"{package}.sentences"
+    beside = f"{package}.document"
     return [beside] if package and find_spec(beside) is not None else []
 
 
@@ -131,5 +131,5 @@ def _modules() -> tuple[str, ...]:
 @cache
 def _own_sentences() -> tuple[str, ...]:
     beside = import_module(EXTENSIONS).__path__
-    names = [f"{EXTENSIONS}.{module.name}.sentences" for module in pkgutil.iter_modules(beside)]
+    names = [f"{EXTENSIONS}.{module.name}.document" for module in pkgutil.iter_modules(beside)]
     return tuple(name for name in names if find_spec(name) is not None)

@@ -9,8 +9,7 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.model.effects.catalogue import CATALOGUE, effect
-from greybox.model.effects.placement import find_placements, place_effect
+from greybox.model.effects.catalogue import CATALOGUE, effect, find_placements, place_effect
 from greybox.shell.project import find_model, template_root
 
 FINE = 100

@@ -12,8 +12,7 @@ import greybox.model.effects
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base.units import parse_unit
 from greybox.estimation.check import check
-from greybox.model.effects.catalogue import CATALOGUE
-from greybox.model.effects.placement import find_placements
+from greybox.model.effects.catalogue import CATALOGUE, find_placements
 from greybox.model.effects.roles import ROLES, RoleOwner
 from greybox.model.effects.scales import measure_scales
 from greybox.model.sites import NEEDED

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.model.effects.catalogue import CATALOGUE, effect
-from greybox.model.effects.placement import find_placements
+from greybox.model.effects.catalogue import CATALOGUE, effect, find_placements
 
 
 def speaker(role_of_back_emf: str = "") -> Model:

@@ -12,7 +12,7 @@ import pytest
 
 import greybox as gb
 from greybox.base.document import Document
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.comparison.compare import compare
 from greybox.data.signals import SignalLimit
 from greybox.estimation.check import check

@@ -20,7 +20,7 @@ from scipy.signal import butter, lfilter
 import greybox as gb
 from greybox.base.document import BulletList, Document, FigureBlock, Section, Subheading
 from greybox.base.figure import Axis, Band, Curve, Figure, Panel, Role
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.comparison.result import ComparisonFinding
 from greybox.data.noise.noise_model import NoiseSource
 from greybox.estimation.check import check

@@ -25,8 +25,8 @@ from greybox.base.figure import (
     Symbol,
     Thinning,
 )
+from greybox.show.figures.figure import PALETTE, Cell, Sheet
 from greybox.show.figures.matplotlib_backend import draw_sheet, save_sheet
-from greybox.show.figures.sheet import PALETTE, Cell, Sheet
 
 HEADING = "Validation record test: free run of every model"
 

@@ -24,7 +24,7 @@ from greybox.base.figure import (
     Scale,
     Thinning,
 )
-from greybox.show.figures.figure import draw_sizes, size_axis, stretches_on_page
+from greybox.show.figures.figure import PALETTE, draw_sizes, size_axis, stretches_on_page
 from greybox.show.figures.plotly_backend import (
     FRAME,
     LONGEST_NAME,
@@ -34,7 +34,6 @@ from greybox.show.figures.plotly_backend import (
     height_on_page,
     to_plotly,
 )
-from greybox.show.figures.sheet import PALETTE
 
 X = np.array([0.0, 1.0, 2.0])
 TIME, POSITION = Axis("time", "s"), Axis("x", "µm")

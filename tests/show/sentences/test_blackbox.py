@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import greybox as gb
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.comparison.blackbox.polynomial import BlackBoxFinding as Code
 
 SENTENCES = {

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from greybox.base.document import REMARK, Document, Paragraphs, TableBlock
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.estimation.result_parts import Misfit
 from greybox.model import Input, Output
 from greybox.shell.answers import CodeAnswer, FitAnswer, LinearAnswer, RecordMisfit, SimulationAnswer

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.comparison.result import ComparisonFinding as Code
 
 PHYSICS = {"name": "mass", "kind": "grey", "parameters": 2}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from greybox.base.findings import Check, Finding
+from greybox.base.values import Check, Finding
 from greybox.discovery.claims import Depth
 from greybox.discovery.false_names import FalseNameRate
 from greybox.discovery.findings import DiscoveryCode as Code

@@ -1,7 +1,6 @@
 """Golden texts of the catalogue's listing and of its page."""
 
-from greybox.model.effects.catalogue import CATALOGUE, effect
-from greybox.model.effects.placement import EffectListing, Placement, place_effect
+from greybox.model.effects.catalogue import CATALOGUE, EffectListing, Placement, effect, place_effect
 from greybox.model.signals import Parameter
 from greybox.show.describe import text
 from greybox.show.sentences.model import write_catalogue_page, write_places

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.predictor import CorrectionKind, PredictionCorrection

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.data.experiment import Experiment
 from greybox.data.findings import RecordCode
 from greybox.data.survey import FileSurvey, SignalSurvey

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.extensions.design.document import name_alternative
 from greybox.extensions.design.problem import Alternative, AlternativeKind, CampaignCode, DesignCode
 from greybox.show.sentences.registry import sentence

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import greybox as gb
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.estimation.linear.exported_model import ExportFinding as Code
 from greybox.show import describe
 from models.micro_actuator import micro_actuator

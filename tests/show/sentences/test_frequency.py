@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.base.findings import Check
+from greybox.base.values import Check
 from greybox.comparison.frequency.best_linear_approximation import BestLinearApproximation, LinearityCheck
 from greybox.comparison.frequency.response import FrequencyResponse
 

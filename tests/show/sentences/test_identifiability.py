@@ -2,7 +2,7 @@
 
 import pytest
 
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.estimation.identifiability.combinations import OpenDirection
 from greybox.estimation.identifiability.excitation import Excitation
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode

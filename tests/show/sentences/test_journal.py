@@ -3,7 +3,7 @@
 import pytest
 
 from greybox.base.files import JournalCode
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.show.sentences.registry import sentence
 
 GOLDEN = [

@@ -9,8 +9,7 @@ from importlib import import_module
 import pytest
 
 import greybox
-from greybox.base.findings import Check, Finding, Severity, with_code
-from greybox.base.values import Printable
+from greybox.base.values import Check, Finding, Printable, Severity, with_code
 from greybox.show.describe import _find_describer, text
 from greybox.show.sentences.registry import _writers, register, sentence, templates
 
@@ -19,7 +18,7 @@ def codes() -> dict[str, str]:
     """Every code of findings and checks that a package declares in its ``findings.py`` -> the enumeration it belongs to."""
     declared: dict[str, str] = {}
     for module in pkgutil.walk_packages(greybox.__path__, "greybox."):
-        if module.name.endswith(".findings") and module.name != "greybox.base.findings":
+        if module.name.endswith(".findings") and module.name != "greybox.base.values":
             for value in vars(import_module(module.name)).values():
                 if isinstance(value, type) and issubclass(value, StrEnum) and value.__module__ == module.name:
                     for code in value:

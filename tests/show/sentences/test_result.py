@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from greybox import Experiment, FitOptions, fit
-from greybox.base.findings import Finding, Severity
+from greybox.base.values import Finding, Severity
 from greybox.data.noise.noise_model import NoiseSource
 from greybox.data.signals import multisine
 from greybox.estimation.findings import EstimationCode

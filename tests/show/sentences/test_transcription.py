@@ -2,7 +2,7 @@
 
 import pytest
 
-from greybox.base.findings import Finding
+from greybox.base.values import Finding
 from greybox.estimation.transcription.problem import SolutionCode, TranscriptionReason
 
 STIFF = {"fastest": 2e-5, "substeps": 512.4}

@@ -1,6 +1,6 @@
 """Numbers in sentences, as people read them."""
 
-from greybox.extensions.changes.sentences import share_of
+from greybox.extensions.changes.document import share_of
 from greybox.show.sentences.wording import spread_text
 
 
