@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from greybox.extensions.export.c_code import to_c
     from greybox.extensions.export.casadi_model import to_acados, to_casadi, to_do_mpc
     from greybox.extensions.export.fmu import to_fmu
-    from greybox.extensions.export.linear_files import to_json, to_mat, to_numpy, write_linear
+    from greybox.extensions.export.linear_files import write_linear
     from greybox.extensions.export.modelica import to_modelica
     from greybox.extensions.export.observer import Observer, ObserverRun, design_observer
     from greybox.extensions.export.python_control import (

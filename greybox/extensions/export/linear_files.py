@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypedDict, Unpack
+from typing import Annotated, Any, ClassVar, TypedDict
 
 import numpy as np
 
@@ -27,23 +27,6 @@ from greybox.model import Model, docstring, literal
 from greybox.simulation.kernel.c_compiler import GreyboxWarning
 
 SIGNALS = ("state", "input", "output")
-
-
-class LinearExportOptions(TypedDict, total=False):
-    """How the linear model that is written is made: arguments of `linearise` and `sample_family`."""
-
-    dt: float | None
-    """Sampling time in seconds; None: continuous."""
-    method: str
-    """``zoh`` or ``tustin``."""
-    delay: float
-    """Seconds by which every input arrives late."""
-    minimal: bool
-    """Whether states that no input reaches or no output shows are removed."""
-    samples: int
-    """Number of models drawn from the covariance of the parameters that are added."""
-    seed: int
-    """Seed of these draws."""
 
 
 # What every file holds of a linear model, under these keys.
@@ -234,105 +217,6 @@ def write_linear(
     # After the findings: what is cut away may be what they speak of.
     reduced = minimal_realisation(model) if minimal else model
     return formats[format].write(reduced, path, plant=to_plant(plant, with_equations=False), family=family)
-
-
-def to_mat(
-    plant: Fit | Model, path: str | Path, at: Mapping[str, float] | None = None, **options: Unpack[LinearExportOptions]
-) -> Path:
-    """Write a linear model as MATLAB's ``.mat`` file (see `write_mat` for its contents).
-
-    Parameters
-    ----------
-    plant
-        A fit, or a model at its present values.
-    path
-        The file; its suffix becomes ``.mat``.
-    at
-        The operating point: states and inputs by name, in the model's units; see `linearise`.
-    **options
-        ``dt``, ``method``, ``delay``, ``minimal``, ``samples``, ``seed``: see `write_linear`.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    ModelError
-        As `write_linear`.
-
-    Examples
-    --------
-    >>> gb.export.to_mat(fit, "plant.mat", {"u": 0.5}, dt=1e-3, samples=50)  # doctest: +SKIP
-    """
-    return write_linear(plant, path, "mat", at, **options)
-
-
-def to_json(
-    plant: Fit | Model, path: str | Path, at: Mapping[str, float] | None = None, **options: Unpack[LinearExportOptions]
-) -> Path:
-    """Write a linear model as JSON: matrices, names, units, poles, zeros, parameters, covariance.
-
-    Parameters
-    ----------
-    plant
-        A fit, or a model at its present values.
-    path
-        The file; its suffix becomes ``.json``.
-    at
-        The operating point: states and inputs by name, in the model's units; see `linearise`.
-    **options
-        ``dt``, ``method``, ``delay``, ``minimal``, ``samples``, ``seed``: see `write_linear`.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    ModelError
-        As `write_linear`.
-
-    Examples
-    --------
-    >>> gb.export.to_json(fit, "plant.json", {"u": 0.5}, dt=1e-3, samples=50)  # doctest: +SKIP
-    """
-    return write_linear(plant, path, "json", at, **options)
-
-
-def to_numpy(
-    plant: Fit | Model, path: str | Path, at: Mapping[str, float] | None = None, **options: Unpack[LinearExportOptions]
-) -> Path:
-    """Write a linear model as arrays of NumPy.
-
-    Parameters
-    ----------
-    plant
-        A fit, or a model at its present values.
-    path
-        The file; its suffix becomes ``.npz``.
-    at
-        The operating point: states and inputs by name, in the model's units; see `linearise`.
-    **options
-        ``dt``, ``method``, ``delay``, ``minimal``, ``samples``, ``seed``: see `write_linear`.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    ModelError
-        As `write_linear`.
-
-    Examples
-    --------
-    >>> gb.export.to_numpy(fit, "plant.npz", {"u": 0.5}, dt=1e-3, samples=50)  # doctest: +SKIP
-    """
-    return write_linear(plant, path, "numpy", at, **options)
 
 
 def write_json(

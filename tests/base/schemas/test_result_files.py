@@ -100,7 +100,7 @@ def test_a_fit_holds_what_the_schema_describes_and_nothing_else(saved):
 
 
 def test_a_linear_model_and_a_check_hold_what_the_schema_describes(fit, tmp_path):
-    linear = gb.export.to_json(fit, tmp_path / "linear.json", samples=3)
+    linear = gb.export.write_linear(fit, tmp_path / "linear.json", "json", samples=3)
     assert strict_offences(read_json(linear, LinearFile), LinearFile) == []
     assert strict_offences(json.loads(json.dumps(check(silverbox, RECORD).as_dict())), ModelCheck) == []
 

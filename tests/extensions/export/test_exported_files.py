@@ -29,7 +29,7 @@ def texts(cell):
 
 
 def test_mat_gives_scipy_the_same_response(tmp_path):
-    found = loadmat(gb.export.to_mat(micro_actuator, tmp_path / "plant.mat"))
+    found = loadmat(gb.export.write_linear(micro_actuator, tmp_path / "plant.mat", "mat"))
     assert found["Ts"].item() == 0
     assert texts(found["StateName"]) == ["x", "v", "i"] and texts(found["OutputUnit"]) == ["m", "A"]
     t = np.linspace(0, 0.05, 400)
@@ -40,7 +40,7 @@ def test_mat_gives_scipy_the_same_response(tmp_path):
 
 def test_a_sampled_mat_gives_scipy_the_same_response(tmp_path):
     dt = 2.5e-4
-    found = loadmat(gb.export.to_mat(micro_actuator, tmp_path / "plant.mat", dt=dt))
+    found = loadmat(gb.export.write_linear(micro_actuator, tmp_path / "plant.mat", "mat", dt=dt))
     assert found["Ts"].item() == dt
     _, (y,) = dstep((*(found[n] for n in "ABCD"), dt), n=300)
     t = dt * np.arange(300)
@@ -50,8 +50,10 @@ def test_a_sampled_mat_gives_scipy_the_same_response(tmp_path):
 
 def test_json_and_numpy_keep_every_digit(tmp_path):
     model = gb.linearise(pneumatic_cylinder, dt=0.01, delay=0.004)
-    read = json.loads(gb.export.to_json(pneumatic_cylinder, tmp_path / "p.json", dt=0.01, delay=0.004).read_text())
-    arrays = np.load(gb.export.to_numpy(pneumatic_cylinder, tmp_path / "p.npz", dt=0.01, delay=0.004))
+    read = json.loads(
+        gb.export.write_linear(pneumatic_cylinder, tmp_path / "p.json", "json", dt=0.01, delay=0.004).read_text()
+    )
+    arrays = np.load(gb.export.write_linear(pneumatic_cylinder, tmp_path / "p.npz", "numpy", dt=0.01, delay=0.004))
     for name in "ABCD":
         np.testing.assert_array_equal(np.array(read[name]).reshape(getattr(model, name).shape), getattr(model, name))
         np.testing.assert_array_equal(arrays[name], getattr(model, name))
@@ -62,7 +64,7 @@ def test_json_and_numpy_keep_every_digit(tmp_path):
 
 def test_samples_need_a_fit(tmp_path):
     with pytest.raises(gb.errors.ModelError, match="samples need a fit"):
-        gb.export.to_mat(micro_actuator, tmp_path / "plant.mat", samples=5)
+        gb.export.write_linear(micro_actuator, tmp_path / "plant.mat", "mat", samples=5)
     assert not list(tmp_path.iterdir())
 
 

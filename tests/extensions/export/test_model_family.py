@@ -71,7 +71,7 @@ def test_pole_bounds_hold_their_share(fit):
 
 
 def test_a_fit_as_mat_gives_scipy_the_response_of_the_fit(fit, tmp_path):
-    found = loadmat(gb.export.to_mat(fit, tmp_path / "plant.mat"))
+    found = loadmat(gb.export.write_linear(fit, tmp_path / "plant.mat", "mat"))
     t = 2.5e-4 * np.arange(300)
     u = np.sign(np.sin(300 * t))
     held = cont2discrete(tuple(found[name] for name in "ABCD"), t[1], "zoh")
@@ -133,7 +133,7 @@ def test_a_minimal_family_has_the_same_states_throughout(fit, tmp_path):
     idle = (fit.model + gb.effect("winding_heating")).start(Rth=0.1)  # heat goes with the square of the current
     family = gb.export.sample_family(replace(fit, model=idle), number=4, dt=2.5e-4, delay=1e-4, minimal=True)
     assert {m.state_names for m in (family.nominal, *family.members)} == {("x", "v", "i", "u_1")}
-    path = gb.export.to_numpy(replace(fit, model=idle), tmp_path / "p", samples=3, minimal=True)
+    path = gb.export.write_linear(replace(fit, model=idle), tmp_path / "p", "numpy", samples=3, minimal=True)
     assert np.load(path)["family_A"].shape == (3, 3, 3)
 
 

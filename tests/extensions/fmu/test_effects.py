@@ -80,7 +80,7 @@ def test_it_is_linearised_along_a_record_and_exported_like_a_model(fitted, recor
     assert gain.real == pytest.approx(1 / k, rel=1e-6) and sampled.dt == 0.05
     np.testing.assert_allclose(sampled.poles, np.exp(0.05 * linear.poles), rtol=1e-9)
     with pytest.warns(GreyboxWarning, match="answer to small changes of the inputs along r0"):
-        written = gb.export.to_json(fit, tmp_path / "mass.json")
+        written = gb.export.write_linear(fit, tmp_path / "mass.json", "json")
     np.testing.assert_allclose(json.loads(written.read_text())["A"], linear.A)
     alone = gb.linearise(fit.model.plant, along=records[0])
     assert alone.A.shape == linear.A.shape
