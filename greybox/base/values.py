@@ -6,8 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from html import escape
+from importlib import import_module
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
     from greybox.base.document import Document
@@ -16,14 +17,15 @@ if TYPE_CHECKING:
 class Printable:
     """A result: ``describe()`` gives what is said of it as a `Document`, ``str(value)`` prints that as plain text.
 
-    Sentences and figures stand in `greybox.show`, which looks the class up by its name. This is the one import of the library that points
-    upward. It runs when somebody prints, never when a module is loaded.
+    Sentences and figures stand in a later layer, which looks the class up by its name.
     """
 
-    def __str__(self) -> str:
-        from greybox.show.describe import text
+    # The module with ``text`` and ``describe``, by its name as an entry point has it: loaded when somebody prints.
+    PRINTER: ClassVar[str] = "greybox.show.describe"
 
-        return text(self)
+    def __str__(self) -> str:
+        text: str = import_module(self.PRINTER).text(self)
+        return text
 
     def describe(self, **options: Any) -> Document:
         """What is said of it: facts, sentences, tables, equations and figures.
@@ -33,9 +35,8 @@ class Printable:
         **options
             What its page shows beside it, such as ``command``, the command that made it.
         """
-        from greybox.show.describe import describe
-
-        return describe(self, **options)
+        document: Document = import_module(self.PRINTER).describe(self, **options)
+        return document
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the plain text."""

@@ -23,8 +23,6 @@ LAYERS = (
     *("__init__", "__main__"),  # the front doors: they may import everything, and nothing imports them
 )
 LEVEL = {layer: level for level, layer in enumerate(LAYERS)}
-# A value that is described finds its sentences and figures by the name of its class: the one import that points upward.
-PRINTING = ("greybox.base.values", "greybox.show.describe")
 # Conditions of what is imported for types alone.
 TYPES_ONLY = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
 
@@ -103,8 +101,7 @@ def top(module: str) -> str:
 def all_imports(*folders: str) -> list[Import]:
     if len(folders) > 1:
         return [found for folder in folders for found in all_imports(folder)]
-    each = (found for path in sources(*folders) for found in find_imports(path))
-    return [found for found in each if (found.importer, found.module) != PRINTING]
+    return [found for path in sources(*folders) for found in find_imports(path)]
 
 
 def circle(edges: set[tuple[str, str]]) -> list[str]:
