@@ -21,7 +21,6 @@ the schema are the docstrings: the sections of the class for its fields, the fir
 
 from __future__ import annotations
 
-import ast
 import inspect
 import json
 import math
@@ -32,8 +31,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Enum
 from functools import cache, partial
-from itertools import pairwise
-from textwrap import dedent
 from typing import (
     Annotated,
     Any,
@@ -509,10 +506,4 @@ def _describe_fields(kind: Any) -> Mapping[str, str]:
         for section in _SECTION.findall(inspect.cleandoc(each.__doc__ or "")):
             for names, text in _ENTRY.findall(section + "\n"):
                 texts |= dict.fromkeys(re.split(r",\s*", names.strip()), " ".join(text.split()))
-    if any(name not in texts for name in _list_fields(kind)):
-        # The fields of a policy have their sentence below them.
-        (definition,) = ast.parse(dedent(inspect.getsource(kind))).body
-        for one, below in pairwise(definition.body):  # type: ignore[attr-defined]
-            if isinstance(one, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
-                texts.setdefault(ast.unparse(one.target), " ".join(str(below.value.value).split()))
     return texts

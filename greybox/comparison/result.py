@@ -54,10 +54,15 @@ class ComparisonFinding(StrEnum):
 
 @dataclass(frozen=True)
 class ComparisonPolicy:
-    """Which rows count, when two models are equally good, and how the black boxes beside a physical model are fitted."""
+    """Which rows count, when two models are equally good, and how the black boxes beside a physical model are fitted.
+
+    Parameters
+    ----------
+    scan
+        How the structures of the black boxes are chosen.
+    """
 
     scan: StructureScanPolicy = field(default_factory=StructureScanPolicy)
-    """How the structures of the black boxes are chosen."""
 
 
 DEFAULT_COMPARISON = ComparisonPolicy()

@@ -11,18 +11,29 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class SelectionPolicy:
-    """When something is missing, when an effect is accepted, and when it may be named."""
+    """When something is missing, when an effect is accepted, and when it may be named.
+
+    Parameters
+    ----------
+    criterion_gain
+        An effect must lower Schwarz's criterion by more than this. Twenty is odds of about 20000 to 1, which leaves room for noise
+        whose level is not known exactly.
+    holdout_share
+        Share of the gap on validation records that a model must explain before its effect is named.
+    """
 
     criterion_gain: float = 20.0
-    """An effect must lower Schwarz's criterion by more than this. Twenty is odds of about 20000 to 1, which leaves room for noise
-    whose level is not known exactly."""
     holdout_share: float = 0.9
-    """Share of the gap on validation records that a model must explain before its effect is named."""
 
 
 @dataclass(frozen=True)
 class DiscoveryPolicy:
     """The decision numbers of all stages of a discovery.
+
+    Parameters
+    ----------
+    selection
+        When an effect is accepted and named.
 
     Examples
     --------
@@ -33,4 +44,3 @@ class DiscoveryPolicy:
     """
 
     selection: SelectionPolicy = field(default_factory=SelectionPolicy)
-    """When an effect is accepted and named."""

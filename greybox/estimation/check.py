@@ -121,7 +121,7 @@ class ModelCheck(Printable, StoredResult):
         Other values of the constants than these that make the same run, such as two that change places.
     placements
         Where the effects of the catalogue find a place in it, and what the others lack.
-    policy, options
+    options
         What it was steered by.
     """
 

@@ -134,32 +134,50 @@ def parse_loss(text: str, huber_threshold: float = HUBER_THRESHOLD) -> RobustLos
 
 @dataclass(frozen=True)
 class StepRefinementPolicy:
-    """How small the integration step has to be at the optimum."""
+    """How small the integration step has to be at the optimum.
+
+    Parameters
+    ----------
+    halvings
+        Times the step is halved at most.
+    max_substeps
+        Substeps of a sample from which a step is made no finer.
+    """
 
     halvings: int = 4
-    """Times the step is halved at most."""
-
     max_substeps: int = 16_000
-    """Substeps of a sample from which a step is made no finer."""
 
 
 @dataclass(frozen=True)
 class TranscriptionPolicy:
-    """Which transcription suits a model and its record, and how long its segments are."""
+    """Which transcription suits a model and its record, and how long its segments are.
+
+    Parameters
+    ----------
+    max_error_growth
+        Factor by which errors may grow over the record. Beyond it a free run loses the constants.
+    max_segments
+        Segments of a record, unless the growth of errors asks for more.
+    usual_rows
+        Fewest samples of a segment, unless the growth of errors asks for shorter ones.
+    """
 
     max_error_growth: float = 20.0
-    """Factor by which errors may grow over the record. Beyond it a free run loses the constants."""
-
     max_segments: int = 50
-    """Segments of a record, unless the growth of errors asks for more."""
-
     usual_rows: int = 20
-    """Fewest samples of a segment, unless the growth of errors asks for shorter ones."""
 
 
 @dataclass(frozen=True)
 class EstimationPolicy:
-    """All decision numbers of an estimation, those of the steps it is made of included; see the class of each group."""
+    """All decision numbers of an estimation, those of the steps it is made of included; see the class of each group.
+
+    Parameters
+    ----------
+    huber_threshold
+        What Huber's loss takes for an outlier where the options do not say.
+    noise_rounds
+        Solutions under a new noise model at most. Most fits need none, one with a robust loss three or four.
+    """
 
     noise: NoisePolicy = field(default_factory=NoisePolicy)
     discretisation: DiscretisationPolicy = field(default_factory=DiscretisationPolicy)
@@ -168,10 +186,7 @@ class EstimationPolicy:
     step_refinement: StepRefinementPolicy = field(default_factory=StepRefinementPolicy)
 
     huber_threshold: float = HUBER_THRESHOLD
-    """What Huber's loss takes for an outlier where the options do not say."""
-
     noise_rounds: int = 8
-    """Solutions under a new noise model at most. Most fits need none, one with a robust loss three or four."""
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> EstimationPolicy:

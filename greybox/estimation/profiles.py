@@ -52,10 +52,15 @@ class IntervalFile(StoredResult):
 
 @dataclass(frozen=True)
 class ProfilePolicy:
-    """How a profile is followed to where it crosses its threshold."""
+    """How a profile is followed to where it crosses its threshold.
+
+    Parameters
+    ----------
+    tolerance
+        The crossing is found to this share of the threshold, which is half a per cent of the interval's length.
+    """
 
     tolerance: float = 0.01
-    """The crossing is found to this share of the threshold, which is half a per cent of the interval's length."""
 
 
 DEFAULT_PROFILE_POLICY = ProfilePolicy()

@@ -35,13 +35,18 @@ __all__ = [
 
 @dataclass(frozen=True)
 class BootstrapPolicy:
-    """How long the blocks of a bootstrap are."""
+    """How long the blocks of a bootstrap are.
+
+    Parameters
+    ----------
+    correlation_times
+        A block covers so many correlation times of the residual, and at least the cube root of the record (Kunsch 1989).
+    least_blocks
+        Blocks in a record at least: fewer cannot be drawn in enough different orders.
+    """
 
     correlation_times: float = 5.0
-    """A block covers so many correlation times of the residual, and at least the cube root of the record (Kunsch 1989)."""
-
     least_blocks: int = 5
-    """Blocks in a record at least: fewer cannot be drawn in enough different orders."""
 
 
 DEFAULT_BOOTSTRAP_POLICY = BootstrapPolicy()

@@ -24,7 +24,7 @@ DOCUMENTS = {
     "Comparison": "comparison.describe_comparison",
     "Demo": "demo.describe_demo",
     "Discovery": "discovery.describe_discovery",
-    "EffectListing": "effects.describe_effects",
+    "EffectListing": "check.describe_effects",
     "Linearisation": "linearisation.describe_linearisation",
     "Simulation": "simulation.describe_simulation",
     "FitAnswer": "answers.describe_fit_answer",

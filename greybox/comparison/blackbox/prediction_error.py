@@ -64,25 +64,34 @@ Starts = Callable[[PolynomialStructure, SampledData, bool], Sequence[np.ndarray]
 
 @dataclass(frozen=True)
 class PredictionErrorPolicy:
-    """How hard a prediction-error model is searched for (ARMAX, output error, Box-Jenkins, Hammerstein)."""
+    """How hard a prediction-error model is searched for (ARMAX, output error, Box-Jenkins, Hammerstein).
+
+    Parameters
+    ----------
+    starts
+        Starting points that are followed, best first. The linear estimates seldom disagree more than threefold.
+    first_iterations
+        Iterations from each start; after these only the best goes on. Enough to tell basins apart.
+    iterations
+        Iterations of the final search. A quadratically converging search needs about ten.
+    termination
+        When a search ends: a millionth of a standard deviation gives the coefficients their digits. No error is small by itself:
+        exact records are followed to the last digit.
+    damped
+        How its steps are damped. Starts are far off, and there are no kinks.
+    """
 
     starts: int = 3
-    """Starting points that are followed, best first. The linear estimates seldom disagree more than threefold."""
     first_iterations: int = 8
-    """Iterations from each start; after these only the best goes on. Enough to tell basins apart."""
     iterations: int = 100
-    """Iterations of the final search. A quadratically converging search needs about ten."""
     termination: TerminationPolicy = field(
         default_factory=lambda: TerminationPolicy(
             negligible_decrease=1e-12, perfect_noise_ratio=0.0, patience=1, little_gain=1e-12
         )
     )
-    """When a search ends: a millionth of a standard deviation gives the coefficients their digits. No error is small by itself: exact
-    records are followed to the last digit."""
     damped: GaussNewtonPolicy = field(
         default_factory=lambda: GaussNewtonPolicy(initial_damping=1e-4, max_rejections=10, max_kink_steps=100)
     )
-    """How its steps are damped. Starts are far off, and there are no kinks."""
 
 
 DEFAULT_SEARCH = PredictionErrorPolicy()

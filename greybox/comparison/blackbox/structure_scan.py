@@ -31,7 +31,23 @@ from greybox.estimation.optim.minimisation import TerminationPolicy
 
 @dataclass(frozen=True)
 class StructureScanPolicy:
-    """Which structures are tried, on which rows, and which of the good ones is chosen."""
+    """Which structures are tried, on which rows, and which of the good ones is chosen.
+
+    Parameters
+    ----------
+    search
+        Search while scanning: enough to rank structures.
+    final_search
+        Search for the chosen structure.
+    largest_poles
+        Most poles of an ARX model, which is a linear problem.
+    largest_searched_poles
+        Most poles of a structure that needs an iterative search.
+    first_delays
+        Delays in samples that are always tried.
+    nonlinearities
+        Basis sizes that are tried for each shape of a static nonlinearity.
+    """
 
     search: PredictionErrorPolicy = field(
         default_factory=lambda: PredictionErrorPolicy(
@@ -43,19 +59,13 @@ class StructureScanPolicy:
             ),
         )
     )
-    """Search while scanning: enough to rank structures."""
     final_search: PredictionErrorPolicy = field(default_factory=PredictionErrorPolicy)
-    """Search for the chosen structure."""
     largest_poles: int = 6
-    """Most poles of an ARX model, which is a linear problem."""
     largest_searched_poles: int = 4
-    """Most poles of a structure that needs an iterative search."""
     first_delays: tuple[int, ...] = (0, 1, 2)
-    """Delays in samples that are always tried."""
     nonlinearities: Mapping[str, tuple[int, ...]] = field(
         default_factory=lambda: {"polynomial": (2, 3, 5), "piecewise": (3, 5)}
     )
-    """Basis sizes that are tried for each shape of a static nonlinearity."""
 
 
 DEFAULT_SCAN = StructureScanPolicy()

@@ -16,13 +16,18 @@ from greybox.data.noise.growing import GrowingNoise
 
 @dataclass(frozen=True)
 class NoisePolicy:
-    """Rules for level and colour of the noise. Shares and ratios have no unit."""
+    """Rules for level and colour of the noise. Shares and ratios have no unit.
+
+    Parameters
+    ----------
+    max_order
+        Highest order of an autoregression that is tried; the noise of sensors and filters needs no more.
+    min_relative_level
+        Least noise over the movement of the signal: where a record shows none (a simulation), misfits are judged against this.
+    """
 
     max_order: int = 12
-    """Highest order of an autoregression that is tried; the noise of sensors and filters needs no more."""
-
     min_relative_level: float = 1e-6
-    """Least noise over the movement of the signal: where a record shows none (a simulation), misfits are judged against this."""
 
 
 NOISE_POLICY = NoisePolicy()

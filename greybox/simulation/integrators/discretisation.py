@@ -22,14 +22,19 @@ from greybox.simulation.integrators.taylor import choose_taylor_step, taylor
 
 @dataclass(frozen=True)
 class DiscretisationPolicy:
-    """How a model is divided in steps."""
+    """How a model is divided in steps.
+
+    Parameters
+    ----------
+    eigenvalue_step
+        Largest ``|h lambda|`` of an explicit substep. RK4 is stable up to 2.785; at 0.5 it follows a fast mode to a few parts in ten
+        thousand.
+    max_substeps
+        Substeps in one sampling interval; a model that asks for more is stiff and gets an implicit method.
+    """
 
     eigenvalue_step: float = 0.5
-    """Largest ``|h lambda|`` of an explicit substep. RK4 is stable up to 2.785; at 0.5 it follows a fast mode to a few parts in ten
-    thousand."""
-
     max_substeps: int = 1000
-    """Substeps in one sampling interval; a model that asks for more is stiff and gets an implicit method."""
 
 
 DEFAULT_POLICY = DiscretisationPolicy()
