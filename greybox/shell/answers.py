@@ -1,4 +1,4 @@
-"""What a command shows, as values; `greybox.show.documents.answers` writes them."""
+"""What a command shows, as values; `greybox.show.documents` writes them."""
 
 from __future__ import annotations
 

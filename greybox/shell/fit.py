@@ -151,7 +151,7 @@ def next_command(study: Study, result: Fit, saved: Path) -> NextCommand:
 
 
 def _write_page(answer: FitAnswer, target: Path, skip: int) -> Path:
-    from greybox.show.documents.answers import further_intervals
+    from greybox.show.documents.fit import further_intervals
 
     return write_report(answer.fit, target, tests=answer.tests, skip=skip, intervals=tuple(further_intervals(answer)))
 

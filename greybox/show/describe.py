@@ -27,10 +27,10 @@ DOCUMENTS = {
     "EffectListing": "check.describe_effects",
     "Linearisation": "linearisation.describe_linearisation",
     "Simulation": "simulation.describe_simulation",
-    "FitAnswer": "answers.describe_fit_answer",
-    "SimulationAnswer": "answers.describe_simulation_answer",
-    "LinearAnswer": "answers.describe_linear_answer",
-    "CodeAnswer": "answers.describe_code_answer",
+    "FitAnswer": "fit.describe_fit_answer",
+    "SimulationAnswer": "simulation.describe_simulation_answer",
+    "LinearAnswer": "linearisation.describe_linear_answer",
+    "CodeAnswer": "linearisation.describe_code_answer",
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from greybox.base import GreyboxError, Severity, format_unit
 from greybox.base import document as doc
@@ -42,6 +43,9 @@ from greybox.show.sentences.wording import (
     with_unit,
 )
 from greybox.simulation.simulate import simulate
+
+if TYPE_CHECKING:
+    from greybox.shell.answers import FitAnswer
 
 
 def describe_fit(
@@ -453,3 +457,45 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[doc.Block]:
         return
     for output in tests.residuals:
         yield doc.FigureBlock(figures.plot_residual_tests(tests, output, f"tests-{output}"))
+
+
+# What the command prints: a fit, with what was asked for beside it.
+
+
+def describe_fit_answer(answer: FitAnswer) -> doc.Document:
+    """The fit; what would determine more, and on request further intervals, predictions, residual tests, the misfit of each record."""
+    fit = answer.fit.describe()
+    remedies = [f"remedy: {text}" for text in answer.remedies]
+    notes = [*([answer.refusal] if answer.refusal else []), *remedies[:1], *fit.notes, *remedies[1:]]
+    table = [*fit.table, *(doc.Details(title, [block]) for title, block in further_intervals(answer))]
+    return replace(fit, table=table, notes=notes, details=doc.Later(_fit_details, answer, fit.details))
+
+
+def _fit_details(answer: FitAnswer, details: Sequence[doc.Block]) -> Iterator[doc.Block]:
+    yield from details
+    shown: list[doc.Block] = []  # what corrects the predictions is often the same for both
+    for title, scores in (("", answer.scores), (", validation records", answer.validation_scores)):
+        if scores is not None:
+            blocks = [block for block in scores.describe().details if block not in shown]
+            shown += blocks
+            yield doc.Details(f"free run and prediction{title}", blocks)
+    if answer.tests is not None:
+        title = "residual tests (an alarm: p below 0.01, as in 1 % of correct fits)"
+        yield doc.Details(title, answer.tests.describe().details)
+    for title, misfits in (("estimation record", answer.misfits), ("validation record", answer.validation_misfits)):
+        if misfits:
+            rows = [[m.record, m.output, *tables.misfit_cells(m.misfit)] for m in misfits]
+            yield doc.TableBlock(f"Misfit of each {title}", [title, "output", *tables.MISFIT_HEADS], rows)
+
+
+def further_intervals(answer: FitAnswer) -> Iterator[tuple[str, doc.Block]]:
+    """The intervals that were asked for beside those of the covariance, each kind with its title."""
+    if answer.profiles or answer.regions or answer.zero_noise:
+        zeros = [f"{name}: zero; its limit is listed with the parameters" for name in answer.zero_noise]
+        lines = "\n".join([*map(str, (*answer.profiles, *answer.regions)), *zeros]).splitlines()
+        yield "profile likelihood", doc.Paragraphs(lines)
+    if answer.bootstrap is not None:
+        b = answer.bootstrap
+        ends = {name: "[{:.5g}, {:.5g}]".format(*b.interval[name]) for name in b.names}
+        facts = [(name, f"standard deviation {b.std[name]:.3g}, 95 % {ends[name]}") for name in b.names]
+        yield f"block bootstrap, {len(b.samples)} replicates in blocks of {b.block} rows", doc.Facts(facts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.linear import plot_bode, plot_poles
 from greybox.show.sentences.linear import channel_lines, poles_table
 from greybox.show.sentences.wording import count_noun, join_names
+
+if TYPE_CHECKING:
+    from greybox.shell.answers import CodeAnswer, LinearAnswer
 
 
 def describe_linearisation(
@@ -164,3 +168,16 @@ def _matrix_lines(model: Linearisation) -> list[str]:
             head = f"  {name} = " if k == 0 else "      "
             lines.append(head + "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)))
     return lines
+
+
+def describe_linear_answer(answer: LinearAnswer) -> doc.Document:
+    """The linear model and its family of samples."""
+    linear = answer.linear.describe()
+    family = answer.family.describe().details if answer.family is not None else []
+    return replace(linear, details=[*linear.details, *family])
+
+
+def describe_code_answer(answer: CodeAnswer) -> doc.Document:
+    """What the model was written as, and its step."""
+    step = "" if answer.step is None else f", {answer.step_name} {answer.step:g} s"
+    return doc.Document(answer.title, f"{answer.title} was written as {answer.kind}{step}.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from greybox.show.figures.figure import scale_to_prefix, stretches_on_page
 from greybox.show.figures.records import plot_signals
 from greybox.show.sentences.wording import count_noun, format_number, join_names
 from greybox.simulation.simulate import Simulation
+
+if TYPE_CHECKING:
+    from greybox.shell.answers import SimulationAnswer
 
 
 def describe_simulation(run: Simulation, *, model: Model | None = None, command: str = "", noise: str = "") -> Document:
@@ -94,3 +98,12 @@ def ranges_table(run: Simulation, model: Model) -> TableBlock:
 def _parameters(model: Model) -> TableBlock:
     rows = [[q.name, format_number(q.value, 7), format_unit(q.unit)] for q in model.all_parameters]
     return TableBlock("Parameters of this run", ["parameter", "value", "unit"], rows)
+
+
+def describe_simulation_answer(answer: SimulationAnswer) -> Document:
+    """How long the run is, its columns and their ranges, and how the model was integrated."""
+    run, model = answer.run, answer.model
+    names = join_names([*run.inputs, *run.outputs])
+    line = f"{model.title} was simulated: {count_noun(len(run.time), 'row')} of {names} over {run.time[-1] - run.time[0]:.4g} s."
+    noise = [f"white noise was added: {answer.noise}"] if answer.noise else []
+    return Document(line, line, table=[ranges_table(run, model)], notes=[*noise, f"integrated by {run.discretisation}"])
