@@ -13,18 +13,9 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.base.numerics import INTEGRATING_POLE
 from greybox.base.values import Finding, Severity, with_code
+from greybox.comparison import result
 from greybox.comparison.blackbox.polynomial import InitialChoice
 from greybox.comparison.blackbox.resample import match_sampling_time
-from greybox.comparison.result import (
-    DEFAULT_COMPARISON,
-    BlackBoxModel,
-    BoxKind,
-    Comparison,
-    ComparisonEntry,
-    ComparisonFinding,
-    ComparisonPolicy,
-    ComparisonScore,
-)
 from greybox.data.experiment import Experiment, name_records
 from greybox.estimation.errors import OutputRun, PredictionsAhead
 from greybox.estimation.optimum import has_free_run
@@ -43,7 +34,7 @@ from greybox.simulation.simulate import declared_initial_state
 MEASURES = {"free_run": "rmse", "one_step": "one_step_rmse"}  # what is compared -> the field of a score
 
 
-def judge_comparison(comparison: Comparison) -> tuple[Finding, ...]:
+def judge_comparison(comparison: result.Comparison) -> tuple[Finding, ...]:
     """Best model of each output in the free run and one sample ahead, by how much, and what to keep in mind.
 
     Parameters
@@ -65,16 +56,16 @@ def judge_comparison(comparison: Comparison) -> tuple[Finding, ...]:
     # What to keep in mind of the others.
     entries = comparison.standing
     outputs = {e.name: sorted(e.training) for e in entries if np.isfinite(e.bic)}
-    failed = [e.name for e in entries if with_code(e.findings, ComparisonFinding.FIT_FAILED)]
-    remarks: list[tuple[ComparisonFinding, dict[str, Any]]] = [
-        (ComparisonFinding.UNSTABLE_MODELS, {"models": [e.name for e in entries if not e.stable]}),
-        (ComparisonFinding.FEEDTHROUGH_MODELS, {"models": [e.name for e in entries if e.feedthrough]}),
+    failed = [e.name for e in entries if with_code(e.findings, result.ComparisonFinding.FIT_FAILED)]
+    remarks: list[tuple[result.ComparisonFinding, dict[str, Any]]] = [
+        (result.ComparisonFinding.UNSTABLE_MODELS, {"models": [e.name for e in entries if not e.stable]}),
+        (result.ComparisonFinding.FEEDTHROUGH_MODELS, {"models": [e.name for e in entries if e.feedthrough]}),
         (
-            ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS,
+            result.ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS,
             {"outputs": outputs if len({*map(tuple, outputs.values())}) > 1 else {}},
         ),
-        (ComparisonFinding.FAILED_FITS, {"models": failed}),
-        (ComparisonFinding.FAILED_MODELS, {"models": [e.name for e in comparison.entries if e.failed_outputs]}),
+        (result.ComparisonFinding.FAILED_FITS, {"models": failed}),
+        (result.ComparisonFinding.FAILED_MODELS, {"models": [e.name for e in comparison.entries if e.failed_outputs]}),
     ]
     return (
         *findings,
@@ -86,7 +77,7 @@ def judge_comparison(comparison: Comparison) -> tuple[Finding, ...]:
 EQUALLY_GOOD = 0.02
 
 
-def _find_best(comparison: Comparison, output: str, measure: str) -> Finding | None:
+def _find_best(comparison: result.Comparison, output: str, measure: str) -> Finding | None:
     ranked = []
     for entry in comparison.standing:
         scores = comparison.deciding_scores(entry)
@@ -97,7 +88,7 @@ def _find_best(comparison: Comparison, output: str, measure: str) -> Finding | N
     ranked.sort(key=lambda pair: pair[0])
     least, best = ranked[0]
     # The rival that matters: the best model of the other kind.
-    other_kind = BoxKind.BLACK if best.kind == BoxKind.GREY else BoxKind.GREY
+    other_kind = result.BoxKind.BLACK if best.kind == result.BoxKind.GREY else result.BoxKind.GREY
     values = {
         "measure": measure,
         "records": "validation" if comparison.validation else "training",
@@ -116,14 +107,14 @@ def _find_best(comparison: Comparison, output: str, measure: str) -> Finding | N
             "equally_good": equal,
             "tolerance": EQUALLY_GOOD,
         }
-    return Finding(ComparisonFinding.BEST_MODEL, subject=output, values=values)
+    return Finding(result.ComparisonFinding.BEST_MODEL, subject=output, values=values)
 
 
-def _identify(entry: ComparisonEntry) -> dict[str, str | int]:
+def _identify(entry: result.ComparisonEntry) -> dict[str, str | int]:
     return {"name": entry.name, "kind": str(entry.kind), "parameters": entry.parameters}
 
 
-ComparedModel = Model | Fit | BlackBoxModel | Sequence[BlackBoxModel]
+ComparedModel = Model | Fit | result.BlackBoxModel | Sequence[result.BlackBoxModel]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +137,8 @@ def compare(
     steps: Sequence[int] = (),
     options: FitOptions | None = None,
     units: Mapping[str, str] | None = None,
-    policy: ComparisonPolicy = DEFAULT_COMPARISON,
-) -> Comparison:
+    policy: result.ComparisonPolicy = result.DEFAULT_COMPARISON,
+) -> result.Comparison:
     """Compare models by their free run and their prediction one sample ahead.
 
     Parameters
@@ -226,8 +217,8 @@ def compare_named(
     options: FitOptions | None = None,
     units: Mapping[str, str] | None = None,
     findings: tuple[Finding, ...] = (),
-    policy: ComparisonPolicy = DEFAULT_COMPARISON,
-) -> Comparison:
+    policy: result.ComparisonPolicy = result.DEFAULT_COMPARISON,
+) -> result.Comparison:
     """`compare` for models that have their names; ``findings``: what could not be compared."""
     if not models:
         raise DataError("no model to compare; give at least one")
@@ -272,7 +263,7 @@ def compare_named(
         for named in models
     )
     outputs = dict.fromkeys(name for e in entries for name in (*e.training, *e.validation))
-    comparison = Comparison(
+    comparison = result.Comparison(
         entries,
         {name: known_units.get(name, "") for name in outputs},
         tuple(e.name for e in training),
@@ -297,14 +288,14 @@ class _Setup:
     options: FitOptions | None
     at_rest: bool
     units: Mapping[str, str]
-    policy: ComparisonPolicy
+    policy: result.ComparisonPolicy
 
 
 # Rows of all records up to which the best prediction filter is searched for; the search takes longer with more.
 FILTERED_ROWS = 50000
 
 
-def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> ComparisonEntry:
+def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> result.ComparisonEntry:
     """A physical model: a record that a fit was made of keeps the initial state of that fit, others are run as by `validate`."""
     plant, findings = as_model(model), list(named.findings)
     correction: Predictor | PredictionCorrection | None = None
@@ -317,10 +308,10 @@ def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> Com
         correction = predictor(model) if filtered and rows <= FILTERED_ROWS else colour_correction(model)
         if not model.success:
             values = {"status": str(model.status)}
-            findings.append(Finding(ComparisonFinding.FIT_FAILED, Severity.ERROR, named.name, values))
+            findings.append(Finding(result.ComparisonFinding.FIT_FAILED, Severity.ERROR, named.name, values))
     if isinstance(correction, Predictor):
         values = {"filter": str(correction.correction)}
-        findings.append(Finding(ComparisonFinding.PREDICTION_FILTER, subject=named.name, values=values))
+        findings.append(Finding(result.ComparisonFinding.PREDICTION_FILTER, subject=named.name, values=values))
     steps, begin = (1, *setup.steps), setup.beginning
     fitted = run_model(model, setup.training, steps, correction, known, initial_rows=begin, options=setup.options)
     validated = run_model(
@@ -342,7 +333,7 @@ def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> Com
         }
     return _assemble_entry(
         named,
-        BoxKind.GREY,
+        result.BoxKind.GREY,
         structure={o.name: plant.title for o in plant.outputs},
         parameters=len(plant.free_parameters),
         stable=stable,
@@ -357,13 +348,13 @@ def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> Com
 COMPARISON_INITIAL_ROWS = 50
 
 
-def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
+def _black_box_entry(named: NamedModel, setup: _Setup) -> result.ComparisonEntry:
     """Black boxes of one output each, every record on the time grid that each was identified at.
 
     The initial state comes from all rows of an estimation record, and from the first rows of another, or it is rest.
     """
     model = named.model
-    boxes: tuple[BlackBoxModel, ...] = tuple(model) if isinstance(model, Sequence) else (model,)  # type: ignore[assignment]
+    boxes: tuple[result.BlackBoxModel, ...] = tuple(model) if isinstance(model, Sequence) else (model,)  # type: ignore[assignment]
     runs: tuple[list[OutputRun], list[OutputRun]] = ([], [])
     for group, records, training in zip(runs, (setup.training, setup.validation), (True, False), strict=True):
         for box, experiment in product(boxes, records):
@@ -385,7 +376,7 @@ def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
             group.append(OutputRun(record.name, box.output, record.time, measured, free, skip, ahead))
     return _assemble_entry(
         named,
-        BoxKind.BLACK,
+        result.BoxKind.BLACK,
         structure={b.output: b.label for b in boxes},
         parameters=sum(b.parameters for b in boxes),
         stable=all(b.stable for b in boxes),
@@ -400,7 +391,7 @@ def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
 REST_SHARE = 0.1
 
 
-def _choose_beginning(box: BlackBoxModel, record: Experiment, at_rest: bool) -> InitialChoice:
+def _choose_beginning(box: result.BlackBoxModel, record: Experiment, at_rest: bool) -> InitialChoice:
     """Rest is a statement about states, not about zero: a box that was fitted from rest begins there if the record does."""
     if not at_rest or box.history != "zero":
         return "estimated"
@@ -409,11 +400,11 @@ def _choose_beginning(box: BlackBoxModel, record: Experiment, at_rest: bool) -> 
     return "zero" if abs(away) <= REST_SHARE * (np.nanmax(y) - np.nanmin(y)) else "estimated"
 
 
-def _run_box(box: BlackBoxModel, record: Experiment, begin: Mapping[str, Any]) -> np.ndarray:
+def _run_box(box: result.BlackBoxModel, record: Experiment, begin: Mapping[str, Any]) -> np.ndarray:
     return box.simulate(record, **begin)[box.output]
 
 
-def _predict_box(box: BlackBoxModel, record: Experiment, begin: Mapping[str, Any], steps: int) -> np.ndarray:
+def _predict_box(box: result.BlackBoxModel, record: Experiment, begin: Mapping[str, Any], steps: int) -> np.ndarray:
     return box.predict(record, steps=steps, **begin)[box.output]
 
 
@@ -421,11 +412,13 @@ def _predict_box(box: BlackBoxModel, record: Experiment, begin: Mapping[str, Any
 DIVERGING_ERROR = 10.0
 
 
-def find_failures(training: Mapping[str, ComparisonScore], validation: Mapping[str, ComparisonScore]) -> list[Finding]:
+def find_failures(
+    training: Mapping[str, result.ComparisonScore], validation: Mapping[str, result.ComparisonScore]
+) -> list[Finding]:
     """A finding for each output that a constant follows better on the estimation records, or from which a validation run goes away."""
     groups = (
-        (ComparisonFinding.WORSE_THAN_CONSTANT, training, 1 + EQUALLY_GOOD),
-        (ComparisonFinding.DIVERGED, validation, DIVERGING_ERROR),
+        (result.ComparisonFinding.WORSE_THAN_CONSTANT, training, 1 + EQUALLY_GOOD),
+        (result.ComparisonFinding.DIVERGED, validation, DIVERGING_ERROR),
     )
     return [
         Finding(code, Severity.WARNING, output, {"error": s.rmse, "movement": s.movement, "unit": s.unit})
@@ -437,7 +430,7 @@ def find_failures(training: Mapping[str, ComparisonScore], validation: Mapping[s
 
 def _assemble_entry(
     named: NamedModel,
-    kind: BoxKind,
+    kind: result.BoxKind,
     *,
     structure: Mapping[str, str],
     parameters: int,
@@ -446,19 +439,19 @@ def _assemble_entry(
     findings: Sequence[Finding],
     runs: tuple[Sequence[OutputRun], Sequence[OutputRun]],
     units: Mapping[str, str],
-) -> ComparisonEntry:
+) -> result.ComparisonEntry:
     """A model with the scores of its runs over the estimation and the validation records."""
 
-    records: dict[str, dict[str, ComparisonScore]] = {}
+    records: dict[str, dict[str, result.ComparisonScore]] = {}
 
-    def score_outputs(runs: Sequence[OutputRun]) -> dict[str, ComparisonScore]:
+    def score_outputs(runs: Sequence[OutputRun]) -> dict[str, result.ComparisonScore]:
         scores = {}
         for name in dict.fromkeys(run.output for run in runs):
             of_output, unit = [run for run in runs if run.output == name], units.get(name, "")
-            scores[name] = ComparisonScore.of(of_output, unit)
+            scores[name] = result.ComparisonScore.of(of_output, unit)
             for run in of_output:
                 # That of a single record is that of them all.
-                alone = scores[name] if len(of_output) == 1 else ComparisonScore.of([run], unit)
+                alone = scores[name] if len(of_output) == 1 else result.ComparisonScore.of([run], unit)
                 records.setdefault(run.record, {})[name] = alone
         return scores
 
@@ -470,7 +463,7 @@ def _assemble_entry(
             misfit = sum(s.samples * np.log(s.rmse**2) for s in training.values() if s.samples)
         bic = float(misfit + parameters * np.log(count))
     findings = [*findings, *find_failures(training, validation)]
-    return ComparisonEntry(
+    return result.ComparisonEntry(
         named.name,
         kind,
         structure,

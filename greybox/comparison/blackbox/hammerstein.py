@@ -12,6 +12,7 @@ from numpy.polynomial.chebyshev import chebvander
 
 from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.values import Finding, Printable
+from greybox.comparison.blackbox import prediction_error
 from greybox.comparison.blackbox.linear_regression import (
     FunctionSignal,
     Orders,
@@ -22,22 +23,6 @@ from greybox.comparison.blackbox.linear_regression import (
     to_sampled_data,
 )
 from greybox.comparison.blackbox.polynomial import InitialChoice, PolynomialModel, PolynomialStructure
-from greybox.comparison.blackbox.prediction_error import (
-    DEFAULT_SEARCH,
-    HistoryTreatment,
-    PredictionErrorMinimum,
-    PredictionErrorPolicy,
-    PredictionErrorProblem,
-    PredictionErrors,
-    check_history,
-    estimate_armax_starts,
-    estimate_output_error_starts,
-    finish_model,
-    minimise_prediction_errors,
-    refuse_collinear,
-    split_records,
-    stabilise,
-)
 from greybox.comparison.blackbox.prediction_error_models import make_structure
 from greybox.data.experiment import Experiment
 
@@ -219,10 +204,10 @@ def hammerstein(
     basis_size: int = 3,
     output: str | None = None,
     inputs: Sequence[str] | str | None = None,
-    history: HistoryTreatment = "estimated",
+    history: prediction_error.HistoryTreatment = "estimated",
     offset: bool = False,
     units: Mapping[str, str] | None = None,
-    policy: PredictionErrorPolicy = DEFAULT_SEARCH,
+    policy: prediction_error.PredictionErrorPolicy = prediction_error.DEFAULT_SEARCH,
 ) -> HammersteinModel:
     """Fit ``y = sum_i B_i(q) / F_i(q) v_i + e`` with static nonlinearities ``v_i = g_i(u_i)``.
 
@@ -269,7 +254,7 @@ def hammerstein(
     --------
     >>> model = gb.blackbox.hammerstein(record, nb=2, nf=2, shape="piecewise", basis_size=3)  # doctest: +SKIP
     """
-    check_history(history)
+    prediction_error.check_history(history)
     if shape not in get_args(NonlinearityShape):
         raise DataError(f"unknown shape {shape!r}; {nearest(shape, get_args(NonlinearityShape))}")
     if int(basis_size) != basis_size or basis_size < 1:
@@ -292,9 +277,9 @@ def fit_hammerstein(
     data: SampledData,
     shape: NonlinearityShape,
     basis_size: int,
-    history: HistoryTreatment,
+    history: prediction_error.HistoryTreatment,
     units: Mapping[str, str] | None = None,
-    policy: PredictionErrorPolicy = DEFAULT_SEARCH,
+    policy: prediction_error.PredictionErrorPolicy = prediction_error.DEFAULT_SEARCH,
 ) -> HammersteinModel:
     """The model of this structure with nonlinearities of ``basis_size`` functions in front, for scaled data."""
     curves = tuple(
@@ -306,24 +291,26 @@ def fit_hammerstein(
         for r in data.records
     )
     data = replace(data, records=records)
-    problem = _HammersteinProblem(structure, data, split_records(data, structure), history == "zero", curves)
+    problem = _HammersteinProblem(
+        structure, data, prediction_error.split_records(data, structure), history == "zero", curves
+    )
     label = HammersteinModel(curves, structure.model(np.zeros(structure.size), data)).label
     count = int(sum(np.isfinite(part.y).sum() for part in problem.parts))
     refuse_few_rows(data, label, count, problem.size, history)
     starts = sorted(problem.starts(), key=lambda start: start[0].evaluate(start[1], False).squares)
     # Short searches from the best starts, a long one from the best of these.
     minima = [
-        (p, minimise_prediction_errors(p, theta, policy=policy, iterations=policy.first_iterations))
+        (p, prediction_error.minimise_prediction_errors(p, theta, policy=policy, iterations=policy.first_iterations))
         for p, theta in starts[: policy.starts]
     ]
     problem, best = min(minima, key=lambda pair: pair[1].errors.squares)
     if not best.converged:
-        best = minimise_prediction_errors(problem, best.theta, policy=policy)
+        best = prediction_error.minimise_prediction_errors(problem, best.theta, policy=policy)
     return _finish(problem, best, count, label, history, units or {})
 
 
 @dataclass(frozen=True, eq=False)
-class _HammersteinProblem(PredictionErrorProblem):
+class _HammersteinProblem(prediction_error.PredictionErrorProblem):
     """The unknowns: coefficients of the linear part, then the weights of each curve without its largest, which sets the scale."""
 
     curves: tuple[StaticNonlinearity, ...]
@@ -352,16 +339,16 @@ class _HammersteinProblem(PredictionErrorProblem):
 
     def stabilise(self, theta: np.ndarray) -> np.ndarray:
         n = self.structure.size
-        return np.append(stabilise(self.structure, theta[:n]), theta[n:])
+        return np.append(prediction_error.stabilise(self.structure, theta[:n]), theta[n:])
 
-    def evaluate(self, theta: np.ndarray, with_gradient: bool) -> PredictionErrors:
+    def evaluate(self, theta: np.ndarray, with_gradient: bool) -> prediction_error.PredictionErrors:
         n, weights = self.structure.size, self.weights(theta)
         curves = [c.with_weights(w) for c, w in zip(self.curves, weights, strict=True)]
         parts = tuple(
             replace(p, signals=tuple(FunctionSignal(b.values, c) for b, c in zip(p.basis, curves, strict=True)))
             for p in self.parts
         )
-        linear = PredictionErrorProblem(self.structure, self.data, parts, self.rest)
+        linear = prediction_error.PredictionErrorProblem(self.structure, self.data, parts, self.rest)
         errors = linear.evaluate(theta[:n], with_gradient)
         if not with_gradient:
             return errors
@@ -391,7 +378,9 @@ class _HammersteinProblem(PredictionErrorProblem):
         )
         names = tuple(f"{name} {j}" for name, m in zip(self.data.inputs, counts, strict=True) for j in range(m))
         data = replace(self.data, inputs=names, records=records)
-        estimate_starts = estimate_armax_starts if orders.na else estimate_output_error_starts
+        estimate_starts = (
+            prediction_error.estimate_armax_starts if orders.na else prediction_error.estimate_output_error_starts
+        )
         for start in estimate_starts(wide, data, self.rest):
             a, *parts = wide.parts(start)
             b, f, remainder = parts[: len(names)], parts[len(names) : 2 * len(names)], parts[2 * len(names) :]
@@ -411,7 +400,7 @@ class _HammersteinProblem(PredictionErrorProblem):
 
 def _finish(
     problem: _HammersteinProblem,
-    best: PredictionErrorMinimum,
+    best: prediction_error.PredictionErrorMinimum,
     count: int,
     label: str,
     history: str,
@@ -423,7 +412,7 @@ def _finish(
     several = len(data.inputs) > 1
     for name, c in zip(data.inputs, problem.curves, strict=True):
         names += [f"curve{f'[{name}]' if several else ''} {j}" for j in range(1, len(c.weights))]
-    refuse_collinear(best.errors, names, label)
+    prediction_error.refuse_collinear(best.errors, names, label)
     curves, b = [], []
     for i, (curve, weights) in enumerate(zip(problem.curves, problem.weights(best.theta), strict=True)):
         products = np.zeros((2, 2))
@@ -437,7 +426,7 @@ def _finish(
         curves.append(curve.with_weights(weights * scale))
         b.append(model.b[i] / scale)
     freedom = count - problem.size - best.errors.states
-    linear = finish_model(replace(model, b=tuple(b)), best, count, max(freedom, 1), history, units)
+    linear = prediction_error.finish_model(replace(model, b=tuple(b)), best, count, max(freedom, 1), history, units)
     scaling = data.scaling
     _, *origins = scaling.origins
     # Each curve is zero at the origin of its input.

@@ -48,14 +48,8 @@ from greybox.comparison.blackbox.polynomial import (
     reflect_roots,
     to_monic,
 )
+from greybox.estimation.optim import minimisation
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import (
-    GaussNewtonPolicy,
-    MinimisationPolicy,
-    Termination,
-    TerminationPolicy,
-    TerminationStatus,
-)
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 HistoryTreatment = Literal["estimated", "zero"]
@@ -84,13 +78,15 @@ class PredictionErrorPolicy:
     starts: int = 3
     first_iterations: int = 8
     iterations: int = 100
-    termination: TerminationPolicy = field(
-        default_factory=lambda: TerminationPolicy(
+    termination: minimisation.TerminationPolicy = field(
+        default_factory=lambda: minimisation.TerminationPolicy(
             negligible_decrease=1e-12, perfect_noise_ratio=0.0, patience=1, little_gain=1e-12
         )
     )
-    damped: GaussNewtonPolicy = field(
-        default_factory=lambda: GaussNewtonPolicy(initial_damping=1e-4, max_rejections=10, max_kink_steps=100)
+    damped: minimisation.GaussNewtonPolicy = field(
+        default_factory=lambda: minimisation.GaussNewtonPolicy(
+            initial_damping=1e-4, max_rejections=10, max_kink_steps=100
+        )
     )
 
 
@@ -465,14 +461,14 @@ def _search(
         method=MinimisationMethod.GAUSS_NEWTON,
         value_at_start=first,
         iterations=iterations,
-        termination_test=Termination(policy.termination, count=first.errors.count).test,
+        termination_test=minimisation.Termination(policy.termination, count=first.errors.count).test,
         # Along the limit the other roots stay inside by the cost: beyond the circle the errors grow.
         project=problem.stabilise if everywhere else None,
         cost=lambda z: problem.evaluate(at(z), False).squares,
-        policy=MinimisationPolicy(damped=policy.damped),
+        policy=minimisation.MinimisationPolicy(damped=policy.damped),
     )
     # Where no step is short enough to help, the errors are as small as rounding allows.
-    ended = result.status is not TerminationStatus.ITERATION_LIMIT
+    ended = result.status is not minimisation.TerminationStatus.ITERATION_LIMIT
     return PredictionErrorMinimum(at(result.z), (result.value or first).errors, result.iterations, ended)
 
 

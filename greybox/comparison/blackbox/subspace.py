@@ -16,14 +16,8 @@ from typing import Any, NoReturn
 import numpy as np
 from scipy.signal import lfilter
 
+from greybox.base import numerics
 from greybox.base.errors import DataError, ModelError, nearest
-from greybox.base.numerics import (
-    CONFINED_ROOT_MARGIN,
-    NEGLIGIBLE_SINGULAR_VALUE,
-    RANK_OF_EXACT_RECORDS,
-    SAME_SAMPLING_TIME,
-    TINY,
-)
 from greybox.base.values import Finding, Printable
 from greybox.comparison.blackbox.linear_regression import SampledRecord, Scaling, find_mean, to_sampled_record
 from greybox.comparison.blackbox.polynomial import InitialChoice, estimate_initial_state
@@ -392,12 +386,12 @@ def confine_modes(A: np.ndarray) -> np.ndarray:
     """``A`` (n, n) with its eigenvalues on or outside the unit circle moved radially to just inside: a free run must not grow."""
     values, vectors = np.linalg.eig(A)
     size = np.abs(values)
-    if np.all(size <= 1 - CONFINED_ROOT_MARGIN):
+    if np.all(size <= 1 - numerics.CONFINED_ROOT_MARGIN):
         return A
-    confined = values * np.minimum(1.0, (1 - CONFINED_ROOT_MARGIN) / np.maximum(size, TINY))
+    confined = values * np.minimum(1.0, (1 - numerics.CONFINED_ROOT_MARGIN) / np.maximum(size, numerics.TINY))
     if np.linalg.cond(vectors) > 1 / np.sqrt(np.finfo(float).eps):
         # Modes that are nearly one have no directions of their own: all are slowed alike.
-        return A * ((1 - CONFINED_ROOT_MARGIN) / size.max())
+        return A * ((1 - numerics.CONFINED_ROOT_MARGIN) / size.max())
     return np.asarray(np.real(vectors @ np.diag(confined) @ np.linalg.inv(vectors)))
 
 
@@ -416,7 +410,7 @@ def _collect_segments(
         runs = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if len(known) else []
         parts += [(record.u[r], y[r]) for r in runs]
         steps.append(record.sampling_time)
-    if not np.allclose(steps, steps[0], rtol=SAME_SAMPLING_TIME, atol=0):
+    if not np.allclose(steps, steps[0], rtol=numerics.SAME_SAMPLING_TIME, atol=0):
         raise DataError("experiments of different sampling times; a state-space model is valid for one; resample them")
     return parts, steps[0]
 
@@ -456,7 +450,7 @@ def _project(
         # Oblique projection, as a map of W_p less U_f.
         l21 = lower[m : m + w, :m]
         # Y_f /_{U_f} W_p: the part of Y_f along W_p, the future inputs taken out obliquely.
-        along = l32 @ np.linalg.pinv(l22, rcond=RANK_OF_EXACT_RECORDS)
+        along = l32 @ np.linalg.pinv(l22, rcond=numerics.RANK_OF_EXACT_RECORDS)
         target = along @ np.hstack([l21, l22])
         u, s, _ = np.linalg.svd(target, full_matrices=False)
         return u * np.sqrt(s), s, columns
@@ -538,7 +532,7 @@ def _estimate_gain(
         targets.append(y[horizon:])
         lengths.append(len(u) - horizon)
     matrix, target = np.vstack(regressors), np.vstack(targets)
-    residual = target - matrix @ np.linalg.lstsq(matrix, target, rcond=RANK_OF_EXACT_RECORDS)[0]
+    residual = target - matrix @ np.linalg.lstsq(matrix, target, rcond=numerics.RANK_OF_EXACT_RECORDS)[0]
     noise = residual.T @ residual / max(len(residual) - matrix.shape[1], 1)
     innovations = np.split(residual, np.cumsum(lengths)[:-1])
     long = [(u, y) for u, y in parts if len(u) > 2 * horizon]
@@ -546,7 +540,7 @@ def _estimate_gain(
         # y - y_simulated = C (q I - A)^-1 K e + e: K enters as B does, with e as the input.
         error = y - _simulate(model, u, _estimate_start(model, u, y, None))
         pairs.append((e, error[horizon:] - e))
-    if float(np.trace(noise)) > NEGLIGIBLE_SINGULAR_VALUE**2 * float(np.mean(target**2)):
+    if float(np.trace(noise)) > numerics.NEGLIGIBLE_SINGULAR_VALUE**2 * float(np.mean(target**2)):
         gain, _, _ = _estimate_inputs(pairs, model.A, model.C, ny, False)
         # A - K C is the predictor; unstable it would be worse than the free run, which K = 0 is.
         if np.isfinite(gain).all() and np.max(np.abs(np.linalg.eigvals(model.A - gain @ model.C)), initial=0.0) < 1:

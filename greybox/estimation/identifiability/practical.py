@@ -13,6 +13,7 @@ from greybox.base import DataError, Finding, Severity
 from greybox.base.linear_algebra import are_independent, decompose_symmetric, eliminate, orthonormalise
 from greybox.base.numerics import INDEPENDENT_FORMULA, TINY
 from greybox.data.experiment import Experiment
+from greybox.estimation.identifiability import structural
 from greybox.estimation.identifiability.combinations import (
     find_product_combinations,
     find_transfer_function_combinations,
@@ -22,12 +23,6 @@ from greybox.estimation.identifiability.combinations import (
 )
 from greybox.estimation.identifiability.excitation import Excitation, analyse_excitation
 from greybox.estimation.identifiability.sensitivity import RANDOM_EXPERIMENT_NOISE_SHARE, IdentifiabilityCode
-from greybox.estimation.identifiability.structural import (
-    StructuralIdentifiability,
-    add_sensors,
-    analyse_structural_identifiability,
-    find_unmeasured_states,
-)
 from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
@@ -115,7 +110,7 @@ def analyse_practical_identifiability(
     at_rest: bool = False,
     method: str = "automatic",
     substeps: int = 0,
-    structure: StructuralIdentifiability | None = None,
+    structure: structural.StructuralIdentifiability | None = None,
 ) -> PracticalIdentifiability:
     """Which constants, and which combinations of them, given records determine near the present values of a model.
 
@@ -156,7 +151,7 @@ def analyse_practical_identifiability(
     problem = prepare_problem(model, experiments, noise, options)
     if structure is None and model.has_equations:
         measured = list_measured_outputs(problem)
-        structure = analyse_structural_identifiability(model, measured, at_rest=at_rest)
+        structure = structural.analyse_structural_identifiability(model, measured, at_rest=at_rest)
     return analyse_problem(problem, structure, options)
 
 
@@ -175,7 +170,7 @@ DIRECTION_WEIGHT = 0.3
 
 
 def analyse_problem(
-    problem: EstimationProblem, structure: StructuralIdentifiability | None, options: FitOptions
+    problem: EstimationProblem, structure: structural.StructuralIdentifiability | None, options: FitOptions
 ) -> PracticalIdentifiability:
     """`analyse_practical_identifiability` for a problem that ``options`` laid out; ``structure`` is None where it is not known."""
     variables, n = problem.variables, len(problem.variables.names)
@@ -242,7 +237,7 @@ def _find_telling_sensors(problem: EstimationProblem, options: FitOptions, least
     telling, runs = [], [simulate(problem.model, e) for e in problem.experiments]
     measured = {name: float(problem.noise.std[j]) for j, name in enumerate(problem.noise.outputs)}
     measured = {name: std for name, std in measured.items() if name in list_measured_outputs(problem)}
-    for state in find_unmeasured_states(problem.model):
+    for state in structural.find_unmeasured_states(problem.model):
         movement = max(float(np.std(run.states[state])) for run in runs)
         if not (np.isfinite(movement) and movement > 0):
             continue
@@ -251,7 +246,7 @@ def _find_telling_sensors(problem: EstimationProblem, options: FitOptions, least
             for e, run in zip(problem.experiments, runs, strict=True)
         ]
         noise = {**measured, state: RANDOM_EXPERIMENT_NOISE_SHARE * movement}
-        sensed = prepare_problem(add_sensors(problem.model, [state]), records, noise, options)
+        sensed = prepare_problem(structural.add_sensors(problem.model, [state]), records, noise, options)
         precision = analyse_problem(sensed, None, options)
         if precision.rank + precision.averaged > least:
             telling.append(state)
@@ -285,7 +280,7 @@ IDENTIFIABILITY_PRIOR_SPREAD: float = math.log(10.0)
 
 def _choose_combinations(
     problem: EstimationProblem,
-    structure: StructuralIdentifiability | None,
+    structure: structural.StructuralIdentifiability | None,
     information: np.ndarray,
     samples: float,
     most: int,
@@ -357,7 +352,7 @@ def recommend_after_fit(fit: Fit) -> tuple[Finding, ...]:
         return ()
     try:
         at_rest = bool(fit.provenance.options.get("at_rest", False))
-        structure = analyse_structural_identifiability(fit.model, list(fit.misfit), at_rest=at_rest)
+        structure = structural.analyse_structural_identifiability(fit.model, list(fit.misfit), at_rest=at_rest)
     except DataError:  # a nonlinear model that overflows wherever it is looked at
         return ()
     if structure.complete:

@@ -9,16 +9,9 @@ from typing import TYPE_CHECKING
 
 from greybox.base import document as doc
 from greybox.base.values import Finding, Severity
+from greybox.extensions.changes import result
 from greybox.extensions.changes.constants import Yardstick
 from greybox.extensions.changes.figures import is_determined, plot_changes, plot_course, plot_population
-from greybox.extensions.changes.result import (
-    ChangeCode,
-    ChangeDetection,
-    ChangeRule,
-    ChangeVerdict,
-    ConstantChange,
-    MachineConstant,
-)
 from greybox.show.documents.tables import provenance_section, records_section, signal_units, worst_first
 from greybox.show.figures.records import plot_residual, plot_run
 from greybox.show.sentences.registry import register, sentence
@@ -38,16 +31,15 @@ from greybox.show.sentences.wording import (
 
 if TYPE_CHECKING:
     from greybox.base.values import Check
-    from greybox.extensions.changes.result import ConstantChange
 
 TONES = {
-    ChangeVerdict.UNCHANGED: doc.Tone.GOOD,
-    ChangeVerdict.CHANGED: doc.Tone.BAD,
-    ChangeVerdict.CANNOT_TELL: doc.Tone.CAUTION,
+    result.ChangeVerdict.UNCHANGED: doc.Tone.GOOD,
+    result.ChangeVerdict.CHANGED: doc.Tone.BAD,
+    result.ChangeVerdict.CANNOT_TELL: doc.Tone.CAUTION,
 }
 
 
-def describe_changed(change: ChangeDetection, *, command: str = "") -> doc.Document:
+def describe_changed(change: result.ChangeDetection, *, command: str = "") -> doc.Document:
     """What is said of a change detection; ``command`` is what was typed."""
     answer, *more = map(sentence, change.conclusion)
     tables = list(change_tables(change))
@@ -65,12 +57,12 @@ def describe_changed(change: ChangeDetection, *, command: str = "") -> doc.Docum
     )
 
 
-def _evidence(change: ChangeDetection) -> Iterator[doc.FigureBlock]:
+def _evidence(change: result.ChangeDetection) -> Iterator[doc.FigureBlock]:
     figures = (plot_changes(change), plot_population(change), plot_course(change))
     yield from (doc.FigureBlock(figure) for figure in figures if figure is not None)
 
 
-def _sections(change: ChangeDetection, command: str) -> Iterator[doc.Section]:
+def _sections(change: result.ChangeDetection, command: str) -> Iterator[doc.Section]:
     """The numbers behind the figures, the checks, today's records."""
     if tables := list(change_tables(change)):
         yield doc.Section("changes", "What changed", tables)
@@ -82,7 +74,7 @@ def _sections(change: ChangeDetection, command: str) -> Iterator[doc.Section]:
     yield provenance_section(command)
 
 
-def _ask(change: ChangeDetection) -> str:
+def _ask(change: result.ChangeDetection) -> str:
     title = change.reference.model.title
     if change.machines:
         return f"Which of {len(change.machines)} machines of the kind {title} falls out?"
@@ -91,7 +83,7 @@ def _ask(change: ChangeDetection) -> str:
     return f"Is {title} what it was when it was fitted to {count_noun(len(change.reference.traces), 'record')}?"
 
 
-def change_tables(change: ChangeDetection) -> Iterator[doc.TableBlock]:
+def change_tables(change: result.ChangeDetection) -> Iterator[doc.TableBlock]:
     """Each constant before and after; what machines have in common and each of them; where constants jump."""
     if change.constants:
         head = ["parameter", "before", "today", "change", "95 % interval", "p", doc.REMARK]
@@ -129,7 +121,7 @@ def change_tables(change: ChangeDetection) -> Iterator[doc.TableBlock]:
         yield doc.TableBlock("Where constants jump; p is corrected for all constants", head, rows)
 
 
-def constant_row(name: str, change: ConstantChange) -> list[str]:
+def constant_row(name: str, change: result.ConstantChange) -> list[str]:
     """One constant in the fit and today."""
     difference = change.after - change.before
     unit = change.unit
@@ -150,7 +142,7 @@ def constant_row(name: str, change: ConstantChange) -> list[str]:
     ]
 
 
-def _machine_cell(constant: MachineConstant | None) -> str:
+def _machine_cell(constant: result.MachineConstant | None) -> str:
     if constant is None or constant["std"] is None or constant["value"] is None:
         return "open"
     return format_with_std(constant["value"], constant["std"])
@@ -162,7 +154,7 @@ def _signed(change: float, before: float, unit: str, width: float) -> str:
     return ("+" if change > 0 else "-") + share_of(change, before, unit, width)
 
 
-def _today(change: ChangeDetection) -> Iterator[doc.Block]:
+def _today(change: result.ChangeDetection) -> Iterator[doc.Block]:
     """Today's records and the model that was fitted to them."""
     fit = change.today
     if fit is None:
@@ -243,7 +235,7 @@ def merge_not_seen(findings: Sequence[Finding]) -> list[Finding]:
     merged: list[Finding] = []
     alike: dict[Severity, list[Finding]] = {}
     for finding in findings:
-        if finding.code != ChangeCode.CONSTANT_NOT_SEEN or not _says_nothing(finding.values["share"]):
+        if finding.code != result.ChangeCode.CONSTANT_NOT_SEEN or not _says_nothing(finding.values["share"]):
             merged.append(finding)
             continue
         group = alike.setdefault(finding.severity, [])
@@ -307,68 +299,68 @@ def _check_text(meaning: str) -> Callable[[Check], str]:
 
 register(
     {
-        ChangeCode.NOTHING_CHANGED: _nothing_changed,
-        ChangeCode.CONSTANT_MOVED: _constant_moved,
-        ChangeCode.COMBINATION_MOVED: lambda f: (
+        result.ChangeCode.NOTHING_CHANGED: _nothing_changed,
+        result.ChangeCode.CONSTANT_MOVED: _constant_moved,
+        result.ChangeCode.COMBINATION_MOVED: lambda f: (
             f"the constants have changed, and the records do not tell which: {join_names(list(f.values['combination']))} together, none of"
             f" them clearly by itself ({p_statement(f.values['p'])}); a record that moves the machine more, or differently, will tell"
         ),
-        ChangeCode.EFFECT_APPEARED: _effect_appeared,
-        ChangeCode.NOISE_GREW: (
+        result.ChangeCode.EFFECT_APPEARED: _effect_appeared,
+        result.ChangeCode.NOISE_GREW: (
             "the noise of output {subject} has grown to {ratio:.2f} times what it was, and is as random as before: look at the sensor and"
             " its wiring"
         ),
-        ChangeCode.UNEXPLAINED: (
+        result.ChangeCode.UNEXPLAINED: (
             "the model no longer describes output {subject}: its residual is {ratio:.2f} times what the fit left, or no longer random, and"
             " no change of constants explains it. No effect of the catalogue is established; greybox discover with more records of today"
             " goes on from here"
         ),
-        ChangeCode.DIFFERENT_INPUT: lambda f: (
+        result.ChangeCode.DIFFERENT_INPUT: lambda f: (
             f"the records cannot tell: {join_names(f.values['constants']) or 'the constants'} would differ ({p_statement(f.values['p'])}),"
             " but the model lacks something already in the fit, and these records do not show by how much its constants vary where nothing"
             " has changed. Repeat the input of the fit, give three records or more, or find what the model lacks with greybox discover"
         ),
-        ChangeCode.CANNOT_TELL: lambda f: (
+        result.ChangeCode.CANNOT_TELL: lambda f: (
             f"the records cannot tell: {join_names(f.values['constants']) or 'the constants'} could have changed by half unnoticed. Nothing"
             " else has changed"
         ),
-        ChangeCode.FIT_FAILED: (
+        result.ChangeCode.FIT_FAILED: (
             "the records cannot tell: the model could not be fitted to them ({status}). Look at the record first, with greybox check"
         ),
-        ChangeCode.CONSTANT_NOT_SEEN: _not_seen,
-        ChangeCode.CONSTANT_AT_BOUND: (
+        result.ChangeCode.CONSTANT_NOT_SEEN: _not_seen,
+        result.ChangeCode.CONSTANT_AT_BOUND: (
             "{subject} was stopped by its bound at {value:.4g}: it is not compared; widen its bounds in the model and fit again"
         ),
-        ChangeCode.MODEL_LACKS_SOMETHING: (
+        result.ChangeCode.MODEL_LACKS_SOMETHING: (
             "the fit left more than noise: its constants depend on what the input does, and the size of the residual was not compared;"
             " greybox discover looks for what the model lacks"
         ),
-        ChangeCode.SCATTER_ALLOWED: lambda f: (
+        result.ChangeCode.SCATTER_ALLOWED: lambda f: (
             f"the constants scatter {SCATTERED_OVER[f.values.get('over', Yardstick.PIECES)]} by {f.values['factor']:.2g} times what their"
             f" intervals say ({f.subject}, {f.values['degrees']} degrees of freedom); the comparison allows for that"
         ),
-        ChangeCode.BEYOND_MISSING_PART: (
+        result.ChangeCode.BEYOND_MISSING_PART: (
             "{subject} has changed by {ratio:.2g} times the most that what the model lacks could do to it, by what the fits leave and how"
             " the two motions differ in size; a smaller change could not be told from that under another motion"
         ),
-        ChangeCode.SPLIT_FOR_VALIDATION: (
+        result.ChangeCode.SPLIT_FOR_VALIDATION: (
             "{subject} is the only record of today: an effect was looked for in its first half and judged on its second; a further record,"
             " with --validate, is the better judge"
         ),
-        ChangeCode.SAME_RECORD: "{subject} is one of the records of the fit itself: it is no record of today",
-        ChangeCode.MACHINE_FALLS_OUT: _machine_falls_out,
-        ChangeCode.MACHINE_NOT_FITTED: "{subject} is left out: the model could not be fitted to its records ({status})",
-        ChangeCode.RECORD_NOT_FITTED: lambda f: (
+        result.ChangeCode.SAME_RECORD: "{subject} is one of the records of the fit itself: it is no record of today",
+        result.ChangeCode.MACHINE_FALLS_OUT: _machine_falls_out,
+        result.ChangeCode.MACHINE_NOT_FITTED: "{subject} is left out: the model could not be fitted to its records ({status})",
+        result.ChangeCode.RECORD_NOT_FITTED: lambda f: (
             f"{record_text(f.subject)} is left out: the model could not be fitted to it ({f.values['status']})"
         ),
-        ChangeCode.MACHINES_ALIKE: _machines_alike,
-        ChangeCode.CHANGE_POINT: _change_point,
-        ChangeCode.NO_CHANGE_POINT: lambda f: (
+        result.ChangeCode.MACHINES_ALIKE: _machines_alike,
+        result.ChangeCode.CHANGE_POINT: _change_point,
+        result.ChangeCode.NO_CHANGE_POINT: lambda f: (
             f"no change point in {count_noun(f.values['records'], 'record')}: what differs between them is chance"
         ),
-        ChangeRule.CONSTANTS_AS_BEFORE: _check_text("the constants are as before"),
-        ChangeRule.RESIDUAL_AS_LARGE: _check_text("the residual of {subject} is as large as before"),
-        ChangeRule.RESIDUAL_AS_WHITE: _check_text("the residual of {subject} is as white as before"),
+        result.ChangeRule.CONSTANTS_AS_BEFORE: _check_text("the constants are as before"),
+        result.ChangeRule.RESIDUAL_AS_LARGE: _check_text("the residual of {subject} is as large as before"),
+        result.ChangeRule.RESIDUAL_AS_WHITE: _check_text("the residual of {subject} is as white as before"),
     }
 )
 

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base import DataError, ExitCode, GreyboxError
 from greybox.base.texts import to_word
-from greybox.shell.inputs import (
-    describes_discovery,
-    find_model_of,
-    limits_of,
-    load_fit_with_model,
-    result_folder,
-    set_parameters,
-)
+from greybox.shell import inputs
 from greybox.shell.study import LAYOUT, READING_LIKE, SHARING, SHOWING, Answer, Command, Idle, Option, Study
 from greybox.shell.study_values import Choice, Count, Names, Numbers, Quantity, Word
 from greybox.shell.terminal import exit_with_error, print_findings, print_note, write_report
@@ -68,10 +61,10 @@ def design(study: DesignStudy) -> Answer:
     from greybox.extensions.design.next_record import design as design_record
 
     known, plain, rivals = read_source(study)
-    folder = result_folder(study, (known.model if isinstance(known, Fit) else known).name)
+    folder = inputs.result_folder(study, (known.model if isinstance(known, Fit) else known).name)
     result = design_record(
         known,
-        limits=limits_of(study),
+        limits=inputs.limits_of(study),
         duration=study.duration or None,
         sampling_time=study.sampling_time or None,
         goal=study.goal,
@@ -117,12 +110,12 @@ def read_source(study: DesignStudy) -> tuple[Model | Fit, Fit | None, list[str]]
     """The best explanation, the fit of the plain model where it is another one, and the rivals by their effects. Raises GreyboxError."""
     source, data = study.source, study.estimation
     if source.endswith(".json"):
-        if not describes_discovery(Path(source)):
+        if not inputs.describes_discovery(Path(source)):
             if data or study.fixed or study.start:
                 raise GreyboxError(
                     f"{source}: a fit knows its records and parameters; leave out DATA, --fix and --start"
                 )
-            return load_fit_with_model(Path(source), study.model), None, []
+            return inputs.load_fit_with_model(Path(source), study.model), None, []
         if study.fixed or study.start:
             raise GreyboxError(f"{source}: a discovery knows its parameters; leave out --fix and --start")
         return _from_discovery(Path(source), data, study)
@@ -137,7 +130,7 @@ def build_plain_model(name: str, study: Study) -> Model:
     """The model with parameters fixed and started. Raises GreyboxError."""
     from greybox.shell.project import find_model
 
-    return set_parameters(find_model(name), study)
+    return inputs.set_parameters(find_model(name), study)
 
 
 def read_data(
@@ -188,7 +181,7 @@ def _from_discovery(path: Path, data: Sequence[Path], study: Study) -> tuple[Fit
         raise GreyboxError(
             f"{path}: a discovery does not hold its records; give them too, as in greybox design {to_word(str(path))} train.csv"
         )
-    plain = find_model_of(path, content["model"], study.model)
+    plain = inputs.find_model_of(path, content["model"], study.model)
     stated = {
         "equations": content.get("plain_equations", ""),
         "declared": content.get("declared", {}),
@@ -238,10 +231,10 @@ def campaign(study: DesignStudy) -> Answer:
     from greybox.model.effects.catalogue import effect
 
     plain = build_plain_model(study.model, study)
-    folder = result_folder(study, plain.name)
+    folder = inputs.result_folder(study, plain.name)
     plan = CampaignPlan(
         plain,
-        limits_of(study),
+        inputs.limits_of(study),
         study.duration,
         study.sampling_time,
         dict(study.noise),

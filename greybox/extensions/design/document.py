@@ -13,19 +13,8 @@ from greybox.extensions.design.problem import Alternative, CampaignCode, Design,
 from greybox.model.effects.catalogue import effect
 from greybox.show.documents.simulation import run_figures
 from greybox.show.documents.tables import provenance_section, typeset_equations, worst_first
+from greybox.show.sentences import wording
 from greybox.show.sentences.registry import register
-from greybox.show.sentences.wording import (
-    change_text,
-    count_noun,
-    format_number,
-    join_names,
-    limit_text,
-    make_formatter,
-    percent_text,
-    quantity_text,
-    value_with_unit,
-    with_unit,
-)
 from greybox.simulation.simulate import simulate
 
 GOALS = {
@@ -84,9 +73,9 @@ def _brings(design: Design) -> Iterator[str]:
     elif shares:
         sizes = sorted(shares.values())
         size = f"{sizes[0]:.2g}" if len(sizes) == 1 else f"{sizes[0]:.2g} to {sizes[-1]:.2g}"
-        yield f": the intervals of {join_names(list(shares))} shrink to {size} of what they are"
+        yield f": the intervals of {wording.join_names(list(shares))} shrink to {size} of what they are"
     elif least:
-        known_to = f": every constant is then known to {percent_text(relative[least], 2)} or better"
+        known_to = f": every constant is then known to {wording.percent_text(relative[least], 2)} or better"
         yield f"{known_to} (standard deviation), {least} least certain"
 
 
@@ -97,7 +86,7 @@ def _gains(design: Design) -> Iterator[TableBlock]:
             [
                 name,
                 d.parameter,
-                *("nothing" if a is None else value_with_unit(a, d.unit, 2) for a in (d.before, d.after)),
+                *("nothing" if a is None else wording.value_with_unit(a, d.unit, 2) for a in (d.before, d.after)),
             ]
             for name, d in design.detection.items()
         ]
@@ -110,8 +99,8 @@ def _gains(design: Design) -> Iterator[TableBlock]:
     rows = [
         [
             name,
-            with_unit(format_number(c.value), c.unit).rstrip(" -"),
-            *("open" if s is None else make_formatter(c.value, s)(s) for s in (c.std_before, c.std_after)),
+            wording.with_unit(wording.format_number(c.value), c.unit).rstrip(" -"),
+            *("open" if s is None else wording.make_formatter(c.value, s)(s) for s in (c.std_before, c.std_after)),
         ]
         for name, c in design.predicted.items()
     ]
@@ -123,12 +112,18 @@ def _limits(design: Design) -> TableBlock:
     """Signal, limits, and the range that is predicted."""
     rows = []
     for name, limit in design.limits.items():
-        predicted = change_text(limit.predicted_low, limit.predicted_high, limit.unit)
-        allowed = limit_text(limit.low, limit.high, limit.unit)
+        predicted = wording.change_text(limit.predicted_low, limit.predicted_high, limit.unit)
+        allowed = wording.limit_text(limit.low, limit.high, limit.unit)
         rows.append([name, allowed, predicted])
         if limit.rate < inf:
             rate = f"{limit.unit}/s"
-            rows.append([f"rate of {name}", quantity_text(limit.rate, rate), quantity_text(limit.predicted_rate, rate)])
+            rows.append(
+                [
+                    f"rate of {name}",
+                    wording.quantity_text(limit.rate, rate),
+                    wording.quantity_text(limit.predicted_rate, rate),
+                ]
+            )
     caption = "Limits, and what is predicted under every explanation with a margin for what is not known"
     return TableBlock(caption, ["signal", "limits", "predicted"], rows)
 
@@ -177,7 +172,7 @@ def describe_campaign(campaign: Campaign, *, command: str = "") -> Document:
     """What is said of a campaign; ``command`` is what was typed."""
     machine = campaign.plan.model.title
     head = f"{machine}: campaign in {campaign.folder}, {campaign.status.replace('_', ' ')}"
-    count = count_noun(len(campaign.steps), "experiment")
+    count = wording.count_noun(len(campaign.steps), "experiment")
     return Document(
         f"Campaign on {machine}",
         f"{head}, {count}.",
@@ -207,7 +202,7 @@ def _experiments(campaign: Campaign) -> TableBlock:
         row.append(name_explanation(step.effects) if known else "not measured")
         row.append(", ".join(map(name_explanation, step.alternatives)) or "none")
         row.append(f"{step.misfit:.3g} x noise" if known else "")
-        row.append(("open" if isinf(width) else percent_text(width, 2)) if known else "")
+        row.append(("open" if isinf(width) else wording.percent_text(width, 2)) if known else "")
         rows.append(row)
     head = ["experiment", "for", "input", "verdict", "explanation", "others left", "misfit", "widest interval"]
     return TableBlock("The experiments, in their order", head, rows)
@@ -221,7 +216,7 @@ def _widths(campaign: Campaign) -> Iterator[TableBlock]:
     rows: list[list[str]] = []
     for name in names:
         widths = [step.widths.get(name) for step in measured]
-        shares = ("-" if w is None else "open" if isinf(w) else percent_text(w, 2) for w in widths)
+        shares = ("-" if w is None else "open" if isinf(w) else wording.percent_text(w, 2) for w in widths)
         rows.append([name, *shares, values.get(name, "")])
     head = ["parameter", *(f"experiment {step.number}" for step in measured), "value"]
     caption = (
@@ -241,7 +236,7 @@ def _last_values(campaign: Campaign, step: CampaignStep) -> dict[str, str]:
         return {}
     parameters = read_json(path, kind)["parameters"]
     return {
-        name: f"{format_number(entry['value'])} {entry.get('unit') or ''}".rstrip()
+        name: f"{wording.format_number(entry['value'])} {entry.get('unit') or ''}".rstrip()
         for name, entry in parameters.items()
         if entry["value"] is not None
     }
@@ -265,7 +260,7 @@ def _not_determined(finding: Finding) -> str:
     names = finding.values["constants"]
     remedies = finding.values["remedies"]
     rest = "; or ".join(remedies) or f"fix {'it' if len(names) == 1 else 'one of them'}, or add a sensor"
-    return f"no input within these limits determines {join_names(names)}: {rest}"
+    return f"no input within these limits determines {wording.join_names(names)}: {rest}"
 
 
 def name_explanation(effects: Sequence[str]) -> str:
@@ -275,7 +270,9 @@ def name_explanation(effects: Sequence[str]) -> str:
 
 def _one_left(finding: Finding) -> str:
     width = finding.values["width"]
-    intervals = f"; its widest 95 % interval is {percent_text(width, 2)} to each side" if width is not None else ""
+    intervals = (
+        f"; its widest 95 % interval is {wording.percent_text(width, 2)} to each side" if width is not None else ""
+    )
     return f"one explanation is left: {name_explanation(finding.values['effects'])}{intervals}"
 
 

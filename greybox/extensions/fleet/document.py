@@ -12,16 +12,8 @@ from greybox.base.figure import Axis, Bars, Figure, Panel, Reference, Role, Seri
 from greybox.extensions.fleet.result import ConstantDistribution, FleetCode, FleetResult, RecordEstimate
 from greybox.show.documents.tables import provenance_section, worst_first
 from greybox.show.figures.figure import typeset_unit
+from greybox.show.sentences import wording
 from greybox.show.sentences.registry import register, sentence
-from greybox.show.sentences.wording import (
-    count_noun,
-    format_number,
-    format_with_std,
-    make_formatter,
-    percent_text,
-    spread_text,
-    with_unit,
-)
 
 # Records that a table of the page holds: those that need a look first; the file has all.
 LISTED_RECORDS = 200
@@ -29,7 +21,7 @@ LISTED_RECORDS = 200
 
 def describe_fleet(fleet: FleetResult, *, command: str = "") -> doc.Document:
     """What is said of a fleet; ``command`` is what was typed."""
-    records = count_noun(fleet.total, "record")
+    records = wording.count_noun(fleet.total, "record")
     summary = [f for f in fleet.findings if f.code in (FleetCode.RECORDS_FITTED, FleetCode.RECORDS_LEFT)]
     tone = doc.Tone.GOOD if all(f.severity is Severity.NOTE for f in summary) else doc.Tone.CAUTION
     title, tables, (fitted, *others) = fleet.model.title, list(_tables(fleet)), fleet.findings
@@ -52,7 +44,7 @@ def _spread_text(fleet: FleetResult) -> str:
     spreads = {n: c.spread for n, c in fleet.population.items() if c.relative and c.spread}
     name = max(spreads, key=spreads.__getitem__, default="")
     return (
-        f"; {name} differs most from record to record, by {percent_text(spreads[name], 2)} (one standard deviation)"
+        f"; {name} differs most from record to record, by {wording.percent_text(spreads[name], 2)} (one standard deviation)"
         if name
         else ""
     )
@@ -95,7 +87,7 @@ def _tables(fleet: FleetResult) -> Iterator[doc.TableBlock]:
         note = "From record to record: the standard deviation beyond what the records leave open. A share is one of the value."
         yield doc.TableBlock("The constants of the records that the model follows", head, rows, note)
     rows = [
-        [name, format_number(median, 3), f"{format_number(low, 3)} to {format_number(high, 3)}"]
+        [name, wording.format_number(median, 3), f"{wording.format_number(low, 3)} to {wording.format_number(high, 3)}"]
         for name, (low, median, high) in fleet.noise_ratios.items()
     ]
     if rows:
@@ -113,13 +105,13 @@ def _distribution_row(name: str, constant: ConstantDistribution) -> list[str]:
     if not constant.count:
         return [name, "", "", "", "", records]
     unit = "" if constant.unit == "1" else constant.unit
-    write = make_formatter(constant.median, (constant.high - constant.low) / 10)
-    left_open = percent_text(constant.std / constant.median, 2) if constant.relative else f"{constant.std:.2g}"
+    write = wording.make_formatter(constant.median, (constant.high - constant.low) / 10)
+    left_open = wording.percent_text(constant.std / constant.median, 2) if constant.relative else f"{constant.std:.2g}"
     return [
         name,
-        with_unit(write(constant.median), unit),
+        wording.with_unit(write(constant.median), unit),
         f"{write(constant.low)} to {write(constant.high)}",
-        spread_text(constant.spread, unit, constant.relative),
+        wording.spread_text(constant.spread, unit, constant.relative),
         left_open,
         records,
     ]
@@ -169,7 +161,7 @@ def _table_of_records(fleet: FleetResult) -> doc.TableBlock:
         [
             r.name,
             *(_cell(r, name) for name in names),
-            format_number(_worst_ratio(r), 3),
+            wording.format_number(_worst_ratio(r), 3),
             str(sum(f.severity is not Severity.NOTE for f in r.findings) or ""),
         ]
         for r in done[:LISTED_RECORDS]
@@ -186,7 +178,7 @@ def _worst_ratio(record: RecordEstimate) -> float:
 
 def _cell(record: RecordEstimate, name: str) -> str:
     estimate = record.parameters[name]
-    return "open" if estimate.std is None else format_with_std(estimate.value, estimate.std)
+    return "open" if estimate.std is None else wording.format_with_std(estimate.value, estimate.std)
 
 
 DOCUMENTS = {"FleetResult": describe_fleet}
@@ -196,8 +188,8 @@ DOCUMENTS = {"FleetResult": describe_fleet}
 def _fitted(finding: Finding) -> str:
     v = finding.values
     if v["fitted"] == v["records"]:
-        return f"all {count_noun(v['records'], 'record')} {'was' if v['records'] == 1 else 'were'} fitted"
-    return f"{v['fitted']} of {count_noun(v['records'], 'record')} were fitted"
+        return f"all {wording.count_noun(v['records'], 'record')} {'was' if v['records'] == 1 else 'were'} fitted"
+    return f"{v['fitted']} of {wording.count_noun(v['records'], 'record')} were fitted"
 
 
 register(
@@ -207,11 +199,11 @@ register(
         FleetCode.RECORD_WITHOUT_RESULT: "record {subject} has no result: {reason}",
         FleetCode.RECORDS_ALIKE: lambda f: (
             f"record {f.subject} is the same measurement as {f.values['first']}"
-            + (f", and {count_noun(f.values['pairs'] - 1, 'other record')} so" if f.values["pairs"] > 1 else "")
+            + (f", and {wording.count_noun(f.values['pairs'] - 1, 'other record')} so" if f.values["pairs"] > 1 else "")
             + ": the fleet counts it twice; leave one out"
         ),
         FleetCode.FINDING_COUNT: lambda f: (
-            f"{f.values['records']} of {count_noun(f.values['of'], 'record')}, {f.subject} the first: {f.values['sentence']}"
+            f"{f.values['records']} of {wording.count_noun(f.values['of'], 'record')}, {f.subject} the first: {f.values['sentence']}"
         ),
     }
 )

@@ -14,14 +14,8 @@ from greybox.estimation.check import ModelCheck
 from greybox.estimation.identifiability.practical import ExpectedPrecision
 from greybox.model import equations_text
 from greybox.model.parts import PARTS
+from greybox.show.documents import tables
 from greybox.show.documents.fit import OPEN_RECORDS
-from greybox.show.documents.tables import (
-    format_sampling_time,
-    provenance_section,
-    signal_units,
-    typeset_equations,
-    worst_first,
-)
 from greybox.show.figures.figure import stretches_on_page
 from greybox.show.figures.fit import plot_intervals
 from greybox.show.figures.records import plot_inputs, plot_outputs
@@ -109,9 +103,9 @@ def _sections(check: ModelCheck, command: str) -> Iterator[doc.Section]:
     yield doc.Section("expected", "What the records can determine", list(_precision(check)))
     yield doc.Section("structure", "What any record could determine", list(_structure(check)))
     computed = doc.Facts(_computation(check), "How it was computed")
-    yield doc.Section("model", "The model", [computed, typeset_equations(check.model)])
+    yield doc.Section("model", "The model", [computed, tables.typeset_equations(check.model)])
     yield doc.Section("data", "Data", list(_data(check)))
-    yield provenance_section(command)
+    yield tables.provenance_section(command)
 
 
 def _faults(check: ModelCheck) -> list[doc.Text]:
@@ -156,7 +150,7 @@ def _notes(check: ModelCheck) -> list[doc.Text]:
     if structure is not None and not structure.complete:
         notes.append(describe_verdict(structure))
         notes += [f"remedy: {sentence(remedy)}" for remedy in structure.recommendations]
-    notes += [*check.other_answers, *worst_first(check.practical.findings)]
+    notes += [*check.other_answers, *tables.worst_first(check.practical.findings)]
     if check.model.has_equations and not check.compiled:
         notes.append("for the fast kernel, install a C compiler (gcc, clang) or set the environment variable CC")
     return notes
@@ -251,7 +245,7 @@ def _data(check: ModelCheck) -> Iterator[doc.Block]:
         yield doc.Paragraphs([f"No records were given. The check uses a simulated one: {check.assumed}"])
     head = ["record", "rows", "duration", "sampling time", "fingerprint"]
     rows = [
-        [e.name, str(e.rows), f"{e.duration:.6g} s", format_sampling_time(e.time), e.fingerprint[:12]]
+        [e.name, str(e.rows), f"{e.duration:.6g} s", tables.format_sampling_time(e.time), e.fingerprint[:12]]
         for e in check.experiments
     ]
     yield doc.TableBlock("Records", head, rows, "" if check.assumed else f"Noise: {_noise(check)}")
@@ -262,7 +256,7 @@ def _data(check: ModelCheck) -> Iterator[doc.Block]:
     if not check.assumed:
         lines = dict.fromkeys(line for e in check.practical.excitation for line in str(e).splitlines())
         yield doc.BulletList(list(lines))
-    units = signal_units(check.model)
+    units = tables.signal_units(check.model)
     drawn = check.experiments[:RECORDS_OF_CHECK]
     stretches = stretches_on_page(sum(len(e.inputs) + len(e.outputs) for e in drawn))
     for k, e in enumerate(drawn):

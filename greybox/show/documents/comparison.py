@@ -16,17 +16,8 @@ from greybox.show.documents.fit import OPEN_RECORDS, not_drawn
 from greybox.show.documents.tables import parameters_table, provenance_section, typeset_equations, worst_first
 from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.show.figures.figure import stretches_on_page
+from greybox.show.sentences import wording
 from greybox.show.sentences.registry import sentence, sentences
-from greybox.show.sentences.wording import (
-    capitalise,
-    count_noun,
-    format_number,
-    join_names,
-    plain_number,
-    quantity_text,
-    record_text,
-    shorten,
-)
 
 
 def describe_comparison(
@@ -54,7 +45,7 @@ def describe_comparison(
     """
     records = "records that no model was fitted to" if comparison.validation else "the records that they were fitted to"
     question = (
-        f"Which model of {join_names(list(comparison.outputs))} is best? {count_noun(len(comparison.entries), 'model')},"
+        f"Which model of {wording.join_names(list(comparison.outputs))} is best? {wording.count_noun(len(comparison.entries), 'model')},"
         f" compared on the same rows of {records}."
     )
     return doc.Document(
@@ -104,12 +95,12 @@ def comparison_answer(comparison: Comparison) -> str:
     output = max(pairs, key=lambda name: pairs[name][2])
     (error, best), other, times_worse = pairs[output]
     unit, records = format_unit(comparison.outputs[output]), "validation" if comparison.validation else "estimation"
-    size = quantity_text(error, unit, beside=other[0] if other else 0.0)
+    size = wording.quantity_text(error, unit, beside=other[0] if other else 0.0)
     text = f"{best.name} is best: its error in {output} on the {records} records is {size}"
     if other is None:
         return f"{text}; there is no box of another kind."
-    times = f", {plain_number(times_worse)} times as much" if error > 0 else ""
-    return f"{text}; that of the best {other[1].kind} box, {other[1].name}, is {quantity_text(other[0], unit)}{times}."
+    times = f", {wording.plain_number(times_worse)} times as much" if error > 0 else ""
+    return f"{text}; that of the best {other[1].kind} box, {other[1].name}, is {wording.quantity_text(other[0], unit)}{times}."
 
 
 def best_model(comparison: Comparison) -> ComparisonEntry | None:
@@ -142,9 +133,11 @@ def summary_table(comparison: Comparison) -> doc.TableBlock:
             if s is None or not math.isfinite(s.rmse):
                 cells += ["-", "-"]
             else:
-                error = quantity_text(s.rmse, format_unit(unit), beside=largest[output])
+                error = wording.quantity_text(s.rmse, format_unit(unit), beside=largest[output])
                 cells += [error, f"{s.best_fit_percent:.1f} %"]
-        rows.append([shorten(name, NAME_WIDTH), str(comparison[name].kind), str(comparison[name].parameters), *cells])
+        rows.append(
+            [wording.shorten(name, NAME_WIDTH), str(comparison[name].kind), str(comparison[name].parameters), *cells]
+        )
     heads = [head for output in comparison.outputs for head in (f"error in {output}", "fit")]
     return doc.TableBlock("Free run on the judging records", ["model", "box", "parameters", *heads], rows)
 
@@ -159,7 +152,7 @@ def _details(comparison: Comparison) -> Iterator[doc.Block]:
     """Errors by output, best first, on validation and estimation records; what each model is; who is best at what."""
     tables = [*_error_tables(comparison, "validation"), *_error_tables(comparison, "training")]
     for table in [*tables, *_record_tables(comparison), models_table(comparison)]:
-        yield replace(table, rows=[[shorten(row[0], NAME_WIDTH), *row[1:]] for row in table.rows])
+        yield replace(table, rows=[[wording.shorten(row[0], NAME_WIDTH), *row[1:]] for row in table.rows])
     yield from structures(comparison)
     yield doc.Paragraphs(with_code(comparison.verdict, ComparisonFinding.BEST_MODEL))
 
@@ -213,7 +206,7 @@ def _error_table(comparison: Comparison, group: str, output: str) -> doc.TableBl
     unequal = ": not the same for every model" if len(counts) != 1 else ""
     unit = format_unit(comparison.outputs[output])
     return doc.TableBlock(
-        f"{output}, {'estimation' if group == 'training' else group} records, {join_names(counts)} rows{unequal}",
+        f"{output}, {'estimation' if group == 'training' else group} records, {wording.join_names(counts)} rows{unequal}",
         ["model", "box", "free run", "best fit", "one step", *(f"{k} ahead" for k in steps)],
         rows,
         f"Free run and {'one or several steps' if steps else 'one step'} ahead: rms errors{f' in {unit}' if unit else ''}.",
@@ -228,7 +221,9 @@ def _record_tables(comparison: Comparison) -> Iterator[doc.TableBlock]:
     for output in comparison.outputs if len(comparison.validation) > 1 else ():
         rows = [[e.name, *(_best_fit(e, record, output) for record in shown)] for e in comparison.standing]
         title = f"best fit [%], {output}" + (f" ({left_out} more records in the file)" if left_out else "")
-        yield doc.TableBlock(capitalise(title), ["model", *(shorten(name, 14) for name in shown)], rows, corner=title)
+        yield doc.TableBlock(
+            wording.capitalise(title), ["model", *(wording.shorten(name, 14) for name in shown)], rows, corner=title
+        )
 
 
 def _best_fit(entry: ComparisonEntry, record: str, output: str) -> str:
@@ -239,7 +234,7 @@ def _best_fit(entry: ComparisonEntry, record: str, output: str) -> str:
 def _error(value: float) -> str:
     if math.isnan(value):
         return "-"
-    return format_number(value, 4) if math.isfinite(value) else "diverges"
+    return wording.format_number(value, 4) if math.isfinite(value) else "diverges"
 
 
 # Records of a comparison whose curves are drawn.
@@ -258,7 +253,7 @@ def _runs(comparison: Comparison) -> Iterator[doc.Block]:
             doc.FigureBlock(plot(comparison, record, f"{name}-{k}"), stretches, group=f"{k}", switch=f"{k}")
             for name, plot in (("runs", plot_model_runs), ("errors-over-time", plot_model_residuals))
         ]
-        title = capitalise(record_text(record))
+        title = wording.capitalise(wording.record_text(record))
         yield from [doc.Subheading(title), *figures] if k < OPEN_RECORDS else [doc.Details(title, figures)]
     if len(records) > len(drawn):
         yield doc.Paragraphs([not_drawn(len(records) - len(drawn))])
@@ -273,7 +268,7 @@ def models_table(comparison: Comparison) -> doc.TableBlock:
             str(e.parameters),
             f"{e.bic:.0f}" if math.isfinite(e.bic) else "-",
             "yes" if e.stable else "no",
-            ", ".join(format_number(v, 3) for v in e.feedthrough.values()) or "none",
+            ", ".join(wording.format_number(v, 3) for v in e.feedthrough.values()) or "none",
             f"{e.seconds:.1f} s" if e.seconds else "-",
         ]
         for e in comparison.standing

@@ -20,16 +20,7 @@ from greybox.model.expressions.operations import Binding
 from greybox.model.expressions.printer import Printed
 from greybox.model.expressions.text import LATEX, expression_latex, symbol_latex
 from greybox.show.figures.figure import scale_to_prefix, value_range
-from greybox.show.sentences.wording import (
-    count_noun,
-    format_number,
-    format_with_std,
-    join_names,
-    make_formatter,
-    noise_text,
-    quantity_text,
-    ratio_text,
-)
+from greybox.show.sentences import wording
 from greybox.simulation.simulate import Simulation
 
 if TYPE_CHECKING:
@@ -64,7 +55,7 @@ def parameters_table(fit: Fit, note: doc.Text = "", *, fitted: bool = False) -> 
     if fitted or fit.starts or not fit.provenance.start:
         return doc.TableBlock(caption, ["parameter", *heads], rows, note)
     begun = fit.provenance.start
-    starts = [format_number(begun[row[0]], 4) if row[0] in begun else "" for row in rows]
+    starts = [wording.format_number(begun[row[0]], 4) if row[0] in begun else "" for row in rows]
     rows = [[row[0], start, *row[1:]] for row, start in zip(rows, starts, strict=True)]
     return doc.TableBlock(caption, ["parameter", "start", *heads], rows, note)
 
@@ -72,15 +63,19 @@ def parameters_table(fit: Fit, note: doc.Text = "", *, fitted: bool = False) -> 
 def estimate_cells(name: str, e: Estimate) -> list[str]:
     """Name, value, interval, unit and remark of one parameter."""
     if e.fixed:
-        return [name, format_number(e.value, 7), "", format_unit(e.unit), "fixed"]
+        return [name, wording.format_number(e.value, 7), "", format_unit(e.unit), "fixed"]
     remark = "at its bound" if e.at_bound else ""
     if e.std is None or e.interval is None:
-        limits = "" if e.interval is None else f"[{format_number(e.interval[0], 3)}, {format_number(e.interval[1], 3)}]"
-        return [name, format_number(e.value), limits, format_unit(e.unit), remark or "not determined"]
+        limits = (
+            ""
+            if e.interval is None
+            else f"[{wording.format_number(e.interval[0], 3)}, {wording.format_number(e.interval[1], 3)}]"
+        )
+        return [name, wording.format_number(e.value), limits, format_unit(e.unit), remark or "not determined"]
     if not remark and not e.determined:
         remark = "not determined"
-    low, high = map(make_formatter(e.value, e.std), e.interval)
-    return [name, format_with_std(e.value, e.std), f"[{low}, {high}]", format_unit(e.unit), remark]
+    low, high = map(wording.make_formatter(e.value, e.std), e.interval)
+    return [name, wording.format_with_std(e.value, e.std), f"[{low}, {high}]", format_unit(e.unit), remark]
 
 
 # Powers of ten between which a number of a LaTeX table stands without one.
@@ -139,10 +134,10 @@ def misfit_table(caption: doc.Text, misfit: Mapping[str, Misfit], corner: str = 
 
 def misfit_cells(m: Misfit) -> list[str]:
     """rmse, best fit, the noise, and error over noise."""
-    error = quantity_text(m.rmse, format_unit(m.unit), 4)
+    error = wording.quantity_text(m.rmse, format_unit(m.unit), 4)
     if m.without_outliers and m.error is not None:
-        error = f"{error} ({quantity_text(m.error, format_unit(m.unit), 4)} without outliers)"
-    return [error, f"{m.best_fit_percent:.2f} %", noise_text(m), f"{ratio_text(m)} x noise"]
+        error = f"{error} ({wording.quantity_text(m.error, format_unit(m.unit), 4)} without outliers)"
+    return [error, f"{m.best_fit_percent:.2f} %", wording.noise_text(m), f"{wording.ratio_text(m)} x noise"]
 
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:
@@ -319,7 +314,7 @@ def provenance_section(command: str, versions: Mapping[str, Any] | None = None) 
 
 def fit_provenance_section(fit: Fit, command: str) -> doc.Section:
     """What is needed to get the numbers of a fit again."""
-    iterations = count_noun(int(fit.solver.statistics.get("iterations", 0)), "iteration")
+    iterations = wording.count_noun(int(fit.solver.statistics.get("iterations", 0)), "iteration")
     ended = f"{fit.status.replace('_', ' ')} after {iterations}"
     computed = doc.Facts([*computation_facts(fit), ("ended", ended)], "How it was computed")
     tables: list[doc.Block] = [_options(fit), named_values("Versions", fit.provenance.versions)]
@@ -377,7 +372,7 @@ def hidden_states(run: Simulation) -> dict[str, np.ndarray]:
 
 def _record(trace: Trace, use: str) -> list[str]:
     missing = {name: int(np.isnan(v).sum()) for name, v in trace.measured.items()}
-    gaps = join_names([f"{count} of {name}" for name, count in missing.items() if count])
+    gaps = wording.join_names([f"{count} of {name}" for name, count in missing.items() if count])
     return [
         trace.name,
         use,

@@ -16,19 +16,9 @@ from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
 from greybox.discovery.plausibility import MOST_ODDS
 from greybox.model.parts import TOLD, part
+from greybox.show.sentences import wording
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders, sentence
-from greybox.show.sentences.wording import (
-    MOST_PERCENT,
-    capitalise,
-    change_text,
-    count_noun,
-    join_names,
-    percent_text,
-    quantity_text,
-    value_with_unit,
-    with_unit,
-)
 
 if TYPE_CHECKING:
     from greybox.discovery import Dependence, EffectTest, HoldoutError, Surrogate
@@ -44,13 +34,15 @@ def shape_text(values: Mapping[str, Any]) -> str:
     kind, parity, position = values["shape"], values["parity"], values["position"]
     unit = values.get("variable_unit", values["unit"])
     if kind == ShapeKind.PERIODIC:
-        text = f"periodic, every {value_with_unit(values['period'], unit)}"
+        text = f"periodic, every {wording.value_with_unit(values['period'], unit)}"
         amplitude = values.get("amplitude")
         return (
-            text if amplitude is None else f"{text}, with an amplitude of {value_with_unit(amplitude, values['unit'])}"
+            text
+            if amplitude is None
+            else f"{text}, with an amplitude of {wording.value_with_unit(amplitude, values['unit'])}"
         )
     if kind == ShapeKind.BEND:
-        return f"a bend at {value_with_unit(position, unit)}"
+        return f"a bend at {wording.value_with_unit(position, unit)}"
     if kind == ShapeKind.CURVED:
         return "curving downwards" if values["downwards"] else "curving upwards"
     if kind == ShapeKind.UNNAMED:
@@ -67,7 +59,7 @@ def shape_text(values: Mapping[str, Any]) -> str:
         ShapeKind.TONE: "a tone",
     }[kind]
     if kind == ShapeKind.FLAT_MIDDLE:
-        text += f" up to about {value_with_unit(position, unit)}"
+        text += f" up to about {wording.value_with_unit(position, unit)}"
     return f"{text}, downwards" if values["downwards"] else text
 
 
@@ -126,7 +118,7 @@ def _localisation(location: ResidualLocalisation) -> str:
     lines.append(f"when:  {timing_text(location.timing)}")
     if location.likeliest:
         site = location.sites[0]
-        size = f", {value_with_unit(site.size, site.unit)} rms" if site.unit else ""
+        size = f", {wording.value_with_unit(site.size, site.unit)} rms" if site.unit else ""
         lines.append(f"where: {sites_text(location.likeliest, explained=True)}{size}")
     relevant = [str(d) for d in location.dependences if d.is_relevant][:3]
     lines.append(f"as:    {'; '.join(relevant) if relevant else 'no function of any one variable'}")
@@ -154,7 +146,7 @@ def _surrogate_title(values: Mapping[str, Any]) -> str:
 
 def explained_share_text(share: float) -> str:
     """``takes away 98.8 % of the error``; a model with a larger error than the plain one takes nothing."""
-    return f"takes away {percent_text(share)} of the error" if share > 0 else "takes away none of the error"
+    return f"takes away {wording.percent_text(share)} of the error" if share > 0 else "takes away none of the error"
 
 
 @renders("Surrogate")
@@ -188,7 +180,7 @@ def surrogate_text(values: Mapping[str, Any]) -> str:
 @renders("HoldoutError")
 def _holdout_error(error: HoldoutError) -> str:
     noise = f" (noise {error.floor:.4g})" if error.is_floor_known else ""
-    return with_unit(f"{error.before:.4g} -> {error.after:.4g}", error.unit) + noise
+    return wording.with_unit(f"{error.before:.4g} -> {error.after:.4g}", error.unit) + noise
 
 
 @renders("EffectTest")
@@ -196,7 +188,7 @@ def _effect_test(test: EffectTest) -> str:
     decision = "keep it: the records require it" if test.is_needed else "omit it: the records do not require it"
     lines = [f"{test.name}: {decision}"]
     lines += [f"  {sentence(check)}" for check in test.checks]
-    lines.append(f"  explains {percent_text(test.explained_fraction)} of the misfit above the noise")
+    lines.append(f"  explains {wording.percent_text(test.explained_fraction)} of the misfit above the noise")
     names = test.larger.model.names_of(test.name)
     for name, in_model in names.items():
         estimate = test.larger.parameters.get(in_model)
@@ -238,8 +230,8 @@ def impossible_text(not_tried: Mapping[str, Finding]) -> str:
     for f in lacking:
         reasons.setdefault(f.values["reason"], []).append(f)
     groups = [
-        f"{join_names([effect_title(f.subject) for f in group])} for lack of"
-        f" {join_names(list(dict.fromkeys(part_text(f.values['part']) for f in group)))}{_how_known(reason)}"
+        f"{wording.join_names([effect_title(f.subject) for f in group])} for lack of"
+        f" {wording.join_names(list(dict.fromkeys(part_text(f.values['part']) for f in group)))}{_how_known(reason)}"
         for reason, group in reasons.items()
     ]
     is_guessed = any(reason != TOLD for reason in reasons)
@@ -251,9 +243,9 @@ GRADES = {Grade.ESTABLISHED: "established", Grade.PROBABLE: "probable", Grade.ST
 
 def false_names_text(rate: FalseNameRate) -> str:
     """How often signals without meaning would have been established in the place of an effect, and what follows."""
-    won = f"{rate.established or 'none'} of {count_noun(rate.tried, 'draw')}"
+    won = f"{rate.established or 'none'} of {wording.count_noun(rate.tried, 'draw')}"
     text = (
-        f"In the place of {effect_title(rate.effect)} the best of {count_noun(rate.among, 'signal')} without meaning, made from"
+        f"In the place of {effect_title(rate.effect)} the best of {wording.count_noun(rate.among, 'signal')} without meaning, made from"
         f" these records, would have been established in {won} (at most {100 * rate.upper:.0f} %, with 95 % confidence)."
     )
     if rate.is_common:
@@ -263,7 +255,7 @@ def false_names_text(rate: FalseNameRate) -> str:
 
 def probability_text(probability: float) -> str:
     """``98 %``; nothing is quite certain, and nothing impossible."""
-    most = MOST_PERCENT
+    most = wording.MOST_PERCENT
     return f"{min(max(100 * probability, 100 - most), most):.0f} %"
 
 
@@ -280,7 +272,7 @@ def claim_text(values: Mapping[str, Any]) -> str:
     # A static function of nothing that moves is a constant.
     what = "a constant" if values["form"] == "static" and not values["variables"] else kind
     if values["variables"]:
-        what += f" of {join_names(['time' if v == TIME else v for v in values['variables']])}"
+        what += f" of {wording.join_names(['time' if v == TIME else v for v in values['variables']])}"
     if values["depth"] == Depth.VARIABLES:
         return f"{what} acts at {place}"
     if values["depth"] == Depth.FAMILY and values["form"] == "timing":
@@ -296,7 +288,7 @@ def rival_text(rival: str) -> str:
     """The sets of effects that win where a claim does not hold."""
     if not rival:
         return ""
-    return join_names([effect_title(name) for name in split_names(rival)])
+    return wording.join_names([effect_title(name) for name in split_names(rival)])
 
 
 def _usual_first(finding: Finding) -> str:
@@ -311,7 +303,7 @@ def _usual_first(finding: Finding) -> str:
 
 def _ask_part(finding: Finding) -> str:
     yes, no = (rival_text(finding.values[key]) for key in ("yes", "no"))
-    question, flag = capitalise(part(finding.subject).question), finding.subject
+    question, flag = wording.capitalise(part(finding.subject).question), finding.subject
     return f"{question} If so, it is {yes} (--has {flag}); if not, {no} (--lacks {flag})"
 
 
@@ -325,13 +317,15 @@ def _claim_established(finding: Finding) -> str:
 def _within_sensor_class(finding: Finding) -> str:
     v = finding.values
     return (
-        f"It may be a sensor that is off: what is missing is {percent_text(v['size'], 2)} of the range of {finding.subject}, and a sensor"
-        f" is commonly off by up to {100 * v['limit']:g} %."
+        f"It may be a sensor that is off: what is missing is {wording.percent_text(v['size'], 2)} of the range of {finding.subject}, and a"
+        f" sensor is commonly off by up to {100 * v['limit']:g} %."
     )
 
 
 def _remaining_text(output: str, values: Mapping[str, Any]) -> str:
-    text = f"{quantity_text(values['rmse'], values['unit'], beside=values.get('before', 0.0))} is left in {output}"
+    text = (
+        f"{wording.quantity_text(values['rmse'], values['unit'], beside=values.get('before', 0.0))} is left in {output}"
+    )
     if values["noise_ratio"] is not None:
         text += f", {values['noise_ratio']:.2g} times the sensor noise"
     parts = ["it grows with the amplitude"] if values["grows_with_amplitude"] else []
@@ -347,47 +341,49 @@ def _remaining_text(output: str, values: Mapping[str, Any]) -> str:
 
 def _error_reduced(finding: Finding) -> str:
     v = finding.values
-    effects = join_names([effect_title(name) for name in v["effects"]])
+    effects = wording.join_names([effect_title(name) for name in v["effects"]])
     if not v["share"] > 0:
         return f"The error in {finding.subject} on the validation records does not fall with {effects}."
     # Result files write what is infinite as null.
     if v["before"] is None or math.isinf(v["before"]):
-        left = quantity_text(v["after"], v["unit"])
+        left = wording.quantity_text(v["after"], v["unit"])
         return f"On the validation records the run of the plain model goes astray; with {effects} the error in {finding.subject} is {left}."
     return (
-        f"The error in {finding.subject} on the validation records falls from {change_text(v['before'], v['after'], v['unit'])}"
-        f" ({percent_text(v['share'], 2)} less) with {effects}."
+        f"The error in {finding.subject} on the validation records falls from {wording.change_text(v['before'], v['after'], v['unit'])}"
+        f" ({wording.percent_text(v['share'], 2)} less) with {effects}."
     )
 
 
 def _effects_established(finding: Finding) -> str:
     v = finding.values
     names = [effect_title(name) for name in v["established"]]
-    text = f"{join_names(names)} {'are' if len(names) > 1 else 'is'} established"
+    text = f"{wording.join_names(names)} {'are' if len(names) > 1 else 'is'} established"
     text = text[0].upper() + text[1:]
     for grade, words in ((Grade.PROBABLE, "probable"), (Grade.STAND_IN, "only a stand-in for something else")):
         others = [effect_title(name) for name, given in v["others"].items() if given == grade]
         if others:
-            text += f"; {join_names(others)} {'are' if len(others) > 1 else 'is'} {words}"
+            text += f"; {wording.join_names(others)} {'are' if len(others) > 1 else 'is'} {words}"
     return f"{text}. More than that is missing, or not certain."
 
 
 def _effects_probable(finding: Finding) -> str:
     v = finding.values
-    names = [f"{effect_title(name)} ({min(100 * p, MOST_PERCENT):.0f} %)" for name, p in v["probabilities"].items()]
-    text = (
-        f"No effect is established. {'Probable are' if len(names) > 1 else 'The most probable is'} {join_names(names)}"
-    )
+    names = [
+        f"{effect_title(name)} ({min(100 * p, wording.MOST_PERCENT):.0f} %)" for name, p in v["probabilities"].items()
+    ]
+    text = f"No effect is established. {'Probable are' if len(names) > 1 else 'The most probable is'} {wording.join_names(names)}"
     others = [effect_title(name) for name in v["others"]]
     if others:
-        text += f"; {join_names(others)} {'are' if len(others) > 1 else 'is'} only a stand-in for something else"
+        text += (
+            f"; {wording.join_names(others)} {'are' if len(others) > 1 else 'is'} only a stand-in for something else"
+        )
     return f"{text}."
 
 
 def constant_text(name: str, values: Mapping[str, Any]) -> str:
     """``Fc = 0.05 +- 0.001 N``; a pure number has no unit."""
     std = "" if values["std"] is None else f" +- {values['std']:.2g}"
-    return with_unit(f"{name} = {values['value']:.5g}{std}", values["unit"])
+    return wording.with_unit(f"{name} = {values['value']:.5g}{std}", values["unit"])
 
 
 # Findings
@@ -401,7 +397,7 @@ def _effects_tied(finding: Finding) -> str:
 
 def _laws_text(laws: Sequence[Mapping[str, str]]) -> str:
     """``-0.6*a*b (1/s) in the prey balance``; several with ``and``."""
-    return join_names(
+    return wording.join_names(
         [
             f"{law['equation']}{f' ({unit})' if (unit := law['unit']) not in ('', '-', '1') else ''} in the {law['site']} balance"
             for law in laws
@@ -435,9 +431,9 @@ LIKENESSES = {
 
 def _law_likeness(finding: Finding) -> str:
     v = finding.values
-    place = "" if v["place"] is None else value_with_unit(v["place"], _shown_unit(v["place_unit"]))
+    place = "" if v["place"] is None else wording.value_with_unit(v["place"], _shown_unit(v["place_unit"]))
     words = LIKENESSES[LikenessKind(v["kind"])].format(
-        size=value_with_unit(abs(v["size"]), _shown_unit(v["size_unit"])), place=place, variable=v["variable"]
+        size=wording.value_with_unit(abs(v["size"]), _shown_unit(v["size_unit"])), place=place, variable=v["variable"]
     )
     return f"{finding.subject if v['several'] else 'It'} behaves as {words}."
 
@@ -449,10 +445,10 @@ def _shown_unit(unit: str) -> str:
 def _law_range(finding: Finding) -> str:
     v = finding.values
     ranges = [
-        f"{name} from {low:.3g} to {value_with_unit(high, _shown_unit(v['units'].get(name, '')))}"
+        f"{name} from {low:.3g} to {wording.value_with_unit(high, _shown_unit(v['units'].get(name, '')))}"
         for name, (low, high) in v["range"].items()
     ]
-    return f"{finding.subject} was seen with {join_names(ranges)}: beyond that it is a guess"
+    return f"{finding.subject} was seen with {wording.join_names(ranges)}: beyond that it is a guess"
 
 
 def _missing_signal(finding: Finding) -> str:
@@ -463,14 +459,14 @@ def _missing_signal(finding: Finding) -> str:
         dependence = f"a function of {values['variable']}"
     else:
         dependence = "no function of any one variable"
-    size = value_with_unit(values["size"], values["unit"])
+    size = wording.value_with_unit(values["size"], values["unit"])
     return f"The plain model lacks a signal of {size} rms at {sites_text(values['sites'], explained=True)}. The signal is {dependence}."
 
 
 def _check_noise(finding: Finding) -> str:
     values = finding.values
     each = zip(values["std"], values["units"], values["outputs"], strict=True)
-    sizes = ", ".join(f"{value_with_unit(std, unit)} in {output}" for std, unit, output in each)
+    sizes = ", ".join(f"{wording.value_with_unit(std, unit)} in {output}" for std, unit, output in each)
     return (
         f"check that the sensor noise is {sizes}: it was estimated from these records, and a smaller noise would mean that an effect is"
         " missing; give the noise as a number or as a quiet record"
@@ -486,8 +482,8 @@ def _test_error(finding: Finding) -> str:
     v = finding.values
     where = f"on the test records, which took no part in the search, the error of {finding.subject}"
     if v["is_plain"]:
-        return f"{where} is {quantity_text(v['before'], v['unit'])}"
-    return f"{where} goes from {change_text(v['before'], v['after'], v['unit'])}"
+        return f"{where} is {wording.quantity_text(v['before'], v['unit'])}"
+    return f"{where} goes from {wording.change_text(v['before'], v['after'], v['unit'])}"
 
 
 # Moved constants that a sentence names.
@@ -509,20 +505,21 @@ def _refit_elsewhere(finding: Finding) -> str:
             " those of the search; another fit may end elsewhere."
         )
     parts = [
-        f"the error of {e['output']} on the {e['records']} records from {change_text(e['before'], e['after'], e['unit'], 4)}"
+        f"the error of {e['output']} on the {e['records']} records from {wording.change_text(e['before'], e['after'], e['unit'], 4)}"
         for e in errors
     ]
     # A curve has twenty heights: the largest moves tell, the others are in the result file.
     moved = sorted(constants.items(), key=lambda item: -item[1])
     parts += [f"{name} by {move:.2g} standard deviations" for name, move in moved[:MOST_MOVES]]
     if len(moved) > MOST_MOVES:
-        parts.append(f"{count_noun(len(moved) - MOST_MOVES, 'further constant')} by less")
-    return f"{finding.subject}: the last fit had not settled. Another that begins at these constants{ended} changes {join_names(parts)}."
+        parts.append(f"{wording.count_noun(len(moved) - MOST_MOVES, 'further constant')} by less")
+    moves = wording.join_names(parts)
+    return f"{finding.subject}: the last fit had not settled. Another that begins at these constants{ended} changes {moves}."
 
 
 def _detection_limit(finding: Finding) -> str:
     v = finding.values
-    return f"{finding.subject} is not detectable below {v['parameter']} = {value_with_unit(v['limit'], v['unit'], 2)}"
+    return f"{finding.subject} is not detectable below {v['parameter']} = {wording.value_with_unit(v['limit'], v['unit'], 2)}"
 
 
 register(
@@ -571,12 +568,12 @@ register(
         " and no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
         DiscoveryCode.SEEN_THROUGH_RESPONSE: lambda f: (
             f"{f.subject} is run from outside: effects at its inputs were seen through a linear response that follows"
-            f" {percent_text(f.values['share'], 3)} of its own, and those that were found are fitted with the plant itself"
+            f" {wording.percent_text(f.values['share'], 3)} of its own, and those that were found are fitted with the plant itself"
         ),
         DiscoveryCode.NO_INPUT_RESPONSE: "no effect at an input of {subject} was tried: no linear response to its inputs could be found",
         DiscoveryCode.PLANT_DISAGREES: lambda f: (
             f"{f.subject} itself errs otherwise than the model about its run, on which the effects were found: "
-            + join_names([f"{ratio:.3g} times as much in {name}" for name, ratio in f.values["ratios"].items()])
+            + wording.join_names([f"{ratio:.3g} times as much in {name}" for name, ratio in f.values["ratios"].items()])
         ),
         DiscoveryCode.PLANT_FAILS: "{subject} itself does not run with {effects}: their constants and errors are those of the model"
         " about its run",
@@ -591,11 +588,11 @@ register(
         DiscoveryCode.EFFECT_PRESENT: "the model contains it already",
         DiscoveryCode.NOT_A_CANDIDATE: "the model lists the effects to try, and this is none of them",
         DiscoveryCode.TRIED_AS_OTHERS: lambda f: (
-            f"{join_names([effect_title(name) for name in f.values['others']])}"
+            f"{wording.join_names([effect_title(name) for name in f.values['others']])}"
             f" {'together are' if len(f.values['others']) > 1 else 'is'} exactly the same"
         ),
         DiscoveryCode.TAKEN_BY_CONSTANTS: lambda f: (
-            f"no record tells it from other values of {join_names(f.values['constants'])}: fix or weigh one of them"
+            f"no record tells it from other values of {wording.join_names(f.values['constants'])}: fix or weigh one of them"
         ),
         DiscoveryCode.EFFECT_LEFT_OUT: "left out as asked",
         DiscoveryCode.PART_MISSING: lambda f: (
@@ -621,8 +618,8 @@ register(
         " these hardly show the missing effect",
         DiscoveryCode.COVER_VALIDATION_RANGE: lambda f: (
             f"use estimation records that cover the whole range: the validation records reach from {f.values['least']:.3g} to"
-            f" {value_with_unit(f.values['most'], f.values['unit'])} in {f.subject}, the estimation records only from"
-            f" {f.values['low']:.3g} to {value_with_unit(f.values['high'], f.values['unit'])}"
+            f" {wording.value_with_unit(f.values['most'], f.values['unit'])} in {f.subject}, the estimation records only from"
+            f" {f.values['low']:.3g} to {wording.value_with_unit(f.values['high'], f.values['unit'])}"
         ),
         DiscoveryCode.SUSPECT_MAINS: "check grounding, shields and the supply of drive and sensor: the tone is at the mains frequency of"
         " {mains:.0f} Hz or a multiple of it",
@@ -634,8 +631,8 @@ register(
         " explains the missing signal, so the effect may have memory (play, hysteresis, creep, a part with its own motion)",
         DiscoveryCode.LOOK_AT_STRETCH: lambda f: (
             f"look at what happens from {f.values['start']:.4g} to {f.values['end']:.4g} s of {f.subject}:"
-            f" {percent_text(f.values['share'], 2)} of the misfit lies in {percent_text(f.values['time_share'], 2)} of the time, so"
-            " something acts then that the model does not have"
+            f" {wording.percent_text(f.values['share'], 2)} of the misfit lies in {wording.percent_text(f.values['time_share'], 2)} of the time,"
+            " so something acts then that the model does not have"
         ),
         DiscoveryCode.TRACE_LOOP: lambda f: (
             f"record {f.subject} up and down over its range, once slowly and once fast: the missing signal differs between the way up and"
@@ -643,7 +640,7 @@ register(
         ),
         DiscoveryCode.TRACE_CURVE: lambda f: (
             f"record {f.subject} slowly over its whole range: the missing signal is a function of it (explains"
-            f" {percent_text(f.values['share'], 2)}), and there its curve shows by itself"
+            f" {wording.percent_text(f.values['share'], 2)}), and there its curve shows by itself"
         ),
         DiscoveryCode.SUSPECT_PERIODIC_PART: "look for magnets, teeth, a thread or a bearing with a period of {period:.3g} {unit}: the"
         " missing signal is periodic in {subject}",
@@ -655,7 +652,7 @@ register(
         " and the rest depends on more than {subject}",
         DiscoveryCode.VARY_OTHER_VARIABLE: lambda f: (
             f"record the same range of {f.subject} at several levels of {f.values['other']}: the curve over {f.subject} explains a part,"
-            f" and the missing signal depends on {f.values['other']} too (explains {percent_text(f.values['share'], 2)})"
+            f" and the missing signal depends on {f.values['other']} too (explains {wording.percent_text(f.values['share'], 2)})"
         ),
         DiscoveryCode.MEASURE_MORE: lambda f: (
             f"measure {' and '.join(f.values['outputs'])} as well, to narrow down the site"
