@@ -631,8 +631,8 @@ register(
         " explains the missing signal, so the effect may have memory (play, hysteresis, creep, a part with its own motion)",
         DiscoveryCode.LOOK_AT_STRETCH: lambda f: (
             f"look at what happens from {f.values['start']:.4g} to {f.values['end']:.4g} s of {f.subject}:"
-            f" {wording.percent_text(f.values['share'], 2)} of the misfit lies in {wording.percent_text(f.values['time_share'], 2)} of the time,"
-            " so something acts then that the model does not have"
+            f" {wording.percent_text(f.values['share'], 2)} of the misfit lies in"
+            f" {wording.percent_text(f.values['time_share'], 2)} of the time, so something acts then that the model does not have"
         ),
         DiscoveryCode.TRACE_LOOP: lambda f: (
             f"record {f.subject} up and down over its range, once slowly and once fast: the missing signal differs between the way up and"

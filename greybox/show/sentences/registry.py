@@ -35,6 +35,16 @@ def register(new: Mapping[str, Template]) -> None:
     _templates.update({str(code): template for code, template in new.items()})
 
 
+def writes(*codes: str) -> Callable[[Callable[[Any], str]], Callable[[Any], str]]:
+    """Decorator: the function is the template of these codes."""
+
+    def add(writer: Callable[[Any], str]) -> Callable[[Any], str]:
+        register(dict.fromkeys(codes, writer))
+        return writer
+
+    return add
+
+
 def renders(class_name: str) -> Callable[[Writer], Writer]:
     """Decorator: the function writes values of the class of this name, as a text or as blocks. Class names are unique in the library."""
 
