@@ -14,7 +14,7 @@ from greybox.extensions.changes.constants import Yardstick
 from greybox.extensions.changes.figures import is_determined, plot_changes, plot_course, plot_population
 from greybox.show.documents.tables import provenance_section, records_section, signal_units, worst_first
 from greybox.show.figures.records import plot_residual, plot_run
-from greybox.show.sentences.registry import register, sentence
+from greybox.show.sentences.registry import register, sentence, writes
 from greybox.show.sentences.wording import (
     CHANGE_REACH,
     as_sentence,
@@ -177,6 +177,7 @@ def share_of(change: float, before: float, unit: str, beside: float = math.inf) 
     return f"{make_formatter(percent, apart)(percent)} %" if 0 < apart < percent else percent_text(percent / 100, 2)
 
 
+@writes(result.ChangeCode.NOTHING_CHANGED)
 def _nothing_changed(finding: Finding) -> str:
     v = finding.values
     seen = share_of(v["smallest"], v["before"], v["unit"])
@@ -187,6 +188,7 @@ def _nothing_changed(finding: Finding) -> str:
     )
 
 
+@writes(result.ChangeCode.CONSTANT_MOVED)
 def _constant_moved(finding: Finding) -> str:
     v = finding.values
     way = "risen" if v["after"] > v["before"] else "fallen"
@@ -200,6 +202,7 @@ def _constant_moved(finding: Finding) -> str:
     )
 
 
+@writes(result.ChangeCode.EFFECT_APPEARED)
 def _effect_appeared(finding: Finding) -> str:
     parameters = ", ".join(
         f"{name} = {value_with_unit(p['value'], p['unit'])}" for name, p in finding.values["parameters"].items()
@@ -211,6 +214,7 @@ def _effect_appeared(finding: Finding) -> str:
     )
 
 
+@writes(result.ChangeCode.CONSTANT_NOT_SEEN)
 def _not_seen(finding: Finding) -> str:
     share, limit = finding.values["share"], 100 * finding.values["limit"]
     if "names" in finding.values:
@@ -257,6 +261,7 @@ SCATTERED_OVER = {
 }
 
 
+@writes(result.ChangeCode.MACHINE_FALLS_OUT)
 def _machine_falls_out(finding: Finding) -> str:
     v = finding.values
     value, mean = (value_with_unit(v[key], v["unit"], 4) for key in ("value", "mean"))
@@ -267,6 +272,7 @@ def _machine_falls_out(finding: Finding) -> str:
     )
 
 
+@writes(result.ChangeCode.MACHINES_ALIKE)
 def _machines_alike(finding: Finding) -> str:
     v = finding.values
     seen = [f"{name} by {spread_text(*spread)}" for name, spread in v["spreads"].items() if spread[0] > 0]
@@ -275,6 +281,7 @@ def _machines_alike(finding: Finding) -> str:
     return f"{which} {v['machines']} machines belong together; from one to the next {differ}"
 
 
+@writes(result.ChangeCode.CHANGE_POINT)
 def _change_point(finding: Finding) -> str:
     v = finding.values
     way = "rises" if v["after"] > v["before"] else "falls"
@@ -299,13 +306,10 @@ def _check_text(meaning: str) -> Callable[[Check], str]:
 
 register(
     {
-        result.ChangeCode.NOTHING_CHANGED: _nothing_changed,
-        result.ChangeCode.CONSTANT_MOVED: _constant_moved,
         result.ChangeCode.COMBINATION_MOVED: lambda f: (
             f"the constants have changed, and the records do not tell which: {join_names(list(f.values['combination']))} together, none of"
             f" them clearly by itself ({p_statement(f.values['p'])}); a record that moves the machine more, or differently, will tell"
         ),
-        result.ChangeCode.EFFECT_APPEARED: _effect_appeared,
         result.ChangeCode.NOISE_GREW: (
             "the noise of output {subject} has grown to {ratio:.2f} times what it was, and is as random as before: look at the sensor and"
             " its wiring"
@@ -327,7 +331,6 @@ register(
         result.ChangeCode.FIT_FAILED: (
             "the records cannot tell: the model could not be fitted to them ({status}). Look at the record first, with greybox check"
         ),
-        result.ChangeCode.CONSTANT_NOT_SEEN: _not_seen,
         result.ChangeCode.CONSTANT_AT_BOUND: (
             "{subject} was stopped by its bound at {value:.4g}: it is not compared; widen its bounds in the model and fit again"
         ),
@@ -348,13 +351,10 @@ register(
             " with --validate, is the better judge"
         ),
         result.ChangeCode.SAME_RECORD: "{subject} is one of the records of the fit itself: it is no record of today",
-        result.ChangeCode.MACHINE_FALLS_OUT: _machine_falls_out,
         result.ChangeCode.MACHINE_NOT_FITTED: "{subject} is left out: the model could not be fitted to its records ({status})",
         result.ChangeCode.RECORD_NOT_FITTED: lambda f: (
             f"{record_text(f.subject)} is left out: the model could not be fitted to it ({f.values['status']})"
         ),
-        result.ChangeCode.MACHINES_ALIKE: _machines_alike,
-        result.ChangeCode.CHANGE_POINT: _change_point,
         result.ChangeCode.NO_CHANGE_POINT: lambda f: (
             f"no change point in {count_noun(f.values['records'], 'record')}: what differs between them is chance"
         ),

@@ -14,7 +14,7 @@ from greybox.model.effects.catalogue import effect
 from greybox.show.documents.simulation import run_figures
 from greybox.show.documents.tables import provenance_section, typeset_equations, worst_first
 from greybox.show.sentences import wording
-from greybox.show.sentences.registry import register
+from greybox.show.sentences.registry import register, writes
 from greybox.simulation.simulate import simulate
 
 GOALS = {
@@ -256,6 +256,7 @@ DOCUMENTS = {"Design": describe_design, "Campaign": describe_campaign}
 """Class of a result -> the function that describes it."""
 
 
+@writes(DesignCode.CONSTANT_NOT_DETERMINED)
 def _not_determined(finding: Finding) -> str:
     names = finding.values["constants"]
     remedies = finding.values["remedies"]
@@ -268,6 +269,7 @@ def name_explanation(effects: Sequence[str]) -> str:
     return " + ".join(effects) or "the plain model"
 
 
+@writes(CampaignCode.ONE_LEFT)
 def _one_left(finding: Finding) -> str:
     width = finding.values["width"]
     intervals = (
@@ -276,6 +278,7 @@ def _one_left(finding: Finding) -> str:
     return f"one explanation is left: {name_explanation(finding.values['effects'])}{intervals}"
 
 
+@writes(CampaignCode.BUDGET_SPENT)
 def _budget_spent(finding: Finding) -> str:
     best = name_explanation(finding.values["effects"])
     others = [name_explanation(a) for a in finding.values["alternatives"]]
@@ -285,6 +288,7 @@ def _budget_spent(finding: Finding) -> str:
     )
 
 
+@writes(CampaignCode.LIMIT_BROKEN)
 def _limit_broken(finding: Finding) -> str:
     v = finding.values
     ends = " to ".join(f"{e:g}" for e in (v["low"], v["high"]) if e is not None)
@@ -297,10 +301,6 @@ def _limit_broken(finding: Finding) -> str:
 register(
     {
         CampaignCode.MEASURE: "play {subject} on the rig, write the record to {record}, and run the same command again",
-        CampaignCode.ONE_LEFT: _one_left,
-        CampaignCode.BUDGET_SPENT: _budget_spent,
-        CampaignCode.LIMIT_BROKEN: _limit_broken,
-        DesignCode.CONSTANT_NOT_DETERMINED: _not_determined,
         DesignCode.WOULD_NOT_DECIDE: (
             "{subject}: the wrong one would lose by a cost of {cost:.3g} only, and {limit:g} are needed to decide; widen the limits, take"
             " a longer record, or add a sensor"

@@ -13,7 +13,7 @@ from greybox.extensions.fleet.result import ConstantDistribution, FleetCode, Fle
 from greybox.show.documents.tables import provenance_section, worst_first
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.sentences import wording
-from greybox.show.sentences.registry import register, sentence
+from greybox.show.sentences.registry import register, sentence, writes
 
 # Records that a table of the page holds: those that need a look first; the file has all.
 LISTED_RECORDS = 200
@@ -185,6 +185,7 @@ DOCUMENTS = {"FleetResult": describe_fleet}
 """Class of a result -> the function that describes it."""
 
 
+@writes(FleetCode.RECORDS_FITTED)
 def _fitted(finding: Finding) -> str:
     v = finding.values
     if v["fitted"] == v["records"]:
@@ -194,7 +195,6 @@ def _fitted(finding: Finding) -> str:
 
 register(
     {
-        FleetCode.RECORDS_FITTED: _fitted,
         FleetCode.RECORDS_LEFT: "{left} of {records} records were not begun: the same call with the journal goes on from here",
         FleetCode.RECORD_WITHOUT_RESULT: "record {subject} has no result: {reason}",
         FleetCode.RECORDS_ALIKE: lambda f: (

@@ -14,7 +14,7 @@ from greybox.extensions.robot.joint_effects import KINDS
 from greybox.extensions.robot.result import BaseEstimate, JointEffect, RigidVerdict, RobotCode, RobotIdentification
 from greybox.show.documents.tables import provenance_section, worst_first
 from greybox.show.figures.figure import typeset_unit
-from greybox.show.sentences.registry import register
+from greybox.show.sentences.registry import register, writes
 from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, percent_text
 
 # Of more joints the answer has the number, the table has the names.
@@ -183,6 +183,7 @@ DOCUMENTS = {"RobotIdentification": describe_robot}
 WORDS = {kind.name: kind.words for kind in KINDS}
 
 
+@writes(RobotCode.OPEN_CONSTANTS)
 def _open(finding: Finding) -> str:
     v = finding.values
     names = (
@@ -203,7 +204,6 @@ register(
             f"what is left of the torques remembers {f.values['memory']:.3g} s, and {f.values['rows']:.3g} s were recorded: the intervals"
             " may be too narrow; record ten times as long"
         ),
-        RobotCode.OPEN_CONSTANTS: _open,
         RobotCode.RIVAL: lambda f: (
             f"{f.subject}: {WORDS[f.values['kind']]} is probable, and {WORDS[f.values['rival']]} would do nearly as well"
         ),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from greybox.base import Finding
 from greybox.base.files import JournalCode
-from greybox.show.sentences.registry import register
+from greybox.show.sentences.registry import register, writes
 from greybox.show.sentences.wording import count_noun
 
 
+@writes(JournalCode.LINES_SKIPPED)
 def _lines_skipped(finding: Finding) -> str:
     lines, count = finding.values["lines"], finding.values["count"]
     more = f" and {count - len(lines)} more" if count > len(lines) else ""
@@ -20,6 +21,5 @@ def _lines_skipped(finding: Finding) -> str:
 register(
     {
         JournalCode.LAST_LINE_CUT: "{subject}: the last line was incomplete and is cut off: what stood there is computed again",
-        JournalCode.LINES_SKIPPED: _lines_skipped,
     }
 )

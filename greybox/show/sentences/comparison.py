@@ -12,7 +12,7 @@ from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock,
 from greybox.comparison.blackbox.polynomial import BlackBoxFinding
 from greybox.comparison.result import ComparisonFinding
 from greybox.show.sentences.estimation import status_text
-from greybox.show.sentences.registry import register, renders
+from greybox.show.sentences.registry import register, renders, writes
 from greybox.show.sentences.wording import format_number, value_with_unit, with_unit
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ RECORDS = {
 }
 
 
+@writes(ComparisonFinding.BEST_MODEL)
 def _best_model(finding: Finding) -> str:
     values = finding.values
     unit = format_unit(values["unit"])
@@ -58,6 +59,7 @@ def _listed(template: str) -> Any:
     return lambda finding: template.format(models=", ".join(finding.values["models"]))
 
 
+@writes(ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS)
 def _bic_of_different_outputs(finding: Finding) -> str:
     listing = "; ".join(f"{name}: {', '.join(outputs)}" for name, outputs in finding.values["outputs"].items())
     return (
@@ -77,13 +79,11 @@ def _failure(records: str) -> Callable[[Finding], str]:
 
 register(
     {
-        ComparisonFinding.BEST_MODEL: _best_model,
         ComparisonFinding.UNSTABLE_MODELS: _listed("Unstable: {models}."),
         ComparisonFinding.FEEDTHROUGH_MODELS: _listed(
             "Direct feed-through within one sample: {models}. A plant with inertia has none; it represents a delay or the input"
             " between the samples."
         ),
-        ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS: _bic_of_different_outputs,
         ComparisonFinding.FAILED_FITS: _listed("The fit failed: {models}. Do not judge the model by these errors."),
         ComparisonFinding.FAILED_MODELS: _listed(
             "Failed, and no part of this comparison: {models}. Each follows an output worse than a constant does."
@@ -169,6 +169,7 @@ def write_approximation(result: BestLinearApproximation) -> str:
 EXCITATION = {0: "it is constant zero", 1: "a constant or a step", 2: "one sine"}
 
 
+@writes(BlackBoxFinding.WEAK_EXCITATION)
 def _weak_excitation(finding: Finding) -> str:
     order, required = finding.values["order"], finding.values["required"]
     signal = EXCITATION.get(order) or (f"as {order // 2} sines are" if order % 2 == 0 else "")
@@ -179,6 +180,7 @@ def _weak_excitation(finding: Finding) -> str:
     )
 
 
+@writes(BlackBoxFinding.UNSTABLE)
 def _unstable(finding: Finding) -> str:
     if finding.values["equation_error"]:
         cause = (
@@ -195,8 +197,6 @@ def _unstable(finding: Finding) -> str:
 
 register(
     {
-        BlackBoxFinding.WEAK_EXCITATION: _weak_excitation,
-        BlackBoxFinding.UNSTABLE: _unstable,
         BlackBoxFinding.SEARCH_UNFINISHED: "the search stopped after {iterations} iterations without convergence",
     }
 )

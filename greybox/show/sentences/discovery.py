@@ -18,7 +18,7 @@ from greybox.discovery.plausibility import MOST_ODDS
 from greybox.model.parts import TOLD, part
 from greybox.show.sentences import wording
 from greybox.show.sentences.estimation import status_text
-from greybox.show.sentences.registry import register, renders, sentence
+from greybox.show.sentences.registry import register, renders, sentence, writes
 
 if TYPE_CHECKING:
     from greybox.discovery import Dependence, EffectTest, HoldoutError, Surrogate
@@ -291,6 +291,7 @@ def rival_text(rival: str) -> str:
     return wording.join_names([effect_title(name) for name in split_names(rival)])
 
 
+@writes(DiscoveryCode.USUAL_FIRST)
 def _usual_first(finding: Finding) -> str:
     v = finding.values
     by_records = " or ".join(map(rival_text, v["by_records"]))
@@ -301,12 +302,14 @@ def _usual_first(finding: Finding) -> str:
     return f"{text}: it takes {shares[0]} of the error, the best of all ({rival_text(v['best'])}) {shares[1]}."
 
 
+@writes(DiscoveryCode.ASK_PART)
 def _ask_part(finding: Finding) -> str:
     yes, no = (rival_text(finding.values[key]) for key in ("yes", "no"))
     question, flag = wording.capitalise(part(finding.subject).question), finding.subject
     return f"{question} If so, it is {yes} (--has {flag}); if not, {no} (--lacks {flag})"
 
 
+@writes(DiscoveryCode.CLAIM_ESTABLISHED)
 def _claim_established(finding: Finding) -> str:
     v = finding.values
     text = claim_text(v)
@@ -314,6 +317,7 @@ def _claim_established(finding: Finding) -> str:
     return f"{text[0].upper()}{text[1:]}{share} ({probability_text(v['probability'])} certain). The name is open."
 
 
+@writes(DiscoveryCode.WITHIN_SENSOR_CLASS)
 def _within_sensor_class(finding: Finding) -> str:
     v = finding.values
     return (
@@ -339,6 +343,7 @@ def _remaining_text(output: str, values: Mapping[str, Any]) -> str:
     return f"{text}: {'; '.join(parts)}" if parts else text
 
 
+@writes(DiscoveryCode.ERROR_REDUCED)
 def _error_reduced(finding: Finding) -> str:
     v = finding.values
     effects = wording.join_names([effect_title(name) for name in v["effects"]])
@@ -354,6 +359,7 @@ def _error_reduced(finding: Finding) -> str:
     )
 
 
+@writes(DiscoveryCode.EFFECTS_ESTABLISHED)
 def _effects_established(finding: Finding) -> str:
     v = finding.values
     names = [effect_title(name) for name in v["established"]]
@@ -366,6 +372,7 @@ def _effects_established(finding: Finding) -> str:
     return f"{text}. More than that is missing, or not certain."
 
 
+@writes(DiscoveryCode.EFFECTS_PROBABLE)
 def _effects_probable(finding: Finding) -> str:
     v = finding.values
     names = [
@@ -389,6 +396,7 @@ def constant_text(name: str, values: Mapping[str, Any]) -> str:
 # Findings
 
 
+@writes(DiscoveryCode.EFFECTS_TIED)
 def _effects_tied(finding: Finding) -> str:
     equals = "; ".join((finding.subject, *finding.values["rivals"]))
     simplest = f"; {finding.subject} is the simplest" if finding.values["is_simplest"] else ""
@@ -405,6 +413,7 @@ def _laws_text(laws: Sequence[Mapping[str, str]]) -> str:
     )
 
 
+@writes(DiscoveryCode.LAW_ESTABLISHED)
 def _law_established(finding: Finding) -> str:
     several = len(finding.values["laws"]) > 1
     return (
@@ -429,6 +438,7 @@ LIKENESSES = {
 }
 
 
+@writes(DiscoveryCode.LAW_LIKENESS)
 def _law_likeness(finding: Finding) -> str:
     v = finding.values
     place = "" if v["place"] is None else wording.value_with_unit(v["place"], _shown_unit(v["place_unit"]))
@@ -442,6 +452,7 @@ def _shown_unit(unit: str) -> str:
     return "" if unit in ("", "-", "1") else format_unit(unit)
 
 
+@writes(DiscoveryCode.LAW_RANGE)
 def _law_range(finding: Finding) -> str:
     v = finding.values
     ranges = [
@@ -451,6 +462,7 @@ def _law_range(finding: Finding) -> str:
     return f"{finding.subject} was seen with {wording.join_names(ranges)}: beyond that it is a guess"
 
 
+@writes(DiscoveryCode.MISSING_SIGNAL)
 def _missing_signal(finding: Finding) -> str:
     values = finding.values
     if values["dependence"] is not None:
@@ -463,6 +475,7 @@ def _missing_signal(finding: Finding) -> str:
     return f"The plain model lacks a signal of {size} rms at {sites_text(values['sites'], explained=True)}. The signal is {dependence}."
 
 
+@writes(DiscoveryCode.CHECK_NOISE)
 def _check_noise(finding: Finding) -> str:
     values = finding.values
     each = zip(values["std"], values["units"], values["outputs"], strict=True)
@@ -478,6 +491,7 @@ def _noise_from_residual(finding: Finding) -> str:
     return f"candidates are weighed by the colour of the residual of {finding.subject}: {shown}"
 
 
+@writes(DiscoveryCode.TEST_ERROR)
 def _test_error(finding: Finding) -> str:
     v = finding.values
     where = f"on the test records, which took no part in the search, the error of {finding.subject}"
@@ -490,6 +504,7 @@ def _test_error(finding: Finding) -> str:
 MOST_MOVES = 3
 
 
+@writes(DiscoveryCode.REFIT_ELSEWHERE)
 def _refit_elsewhere(finding: Finding) -> str:
     status, errors, constants = (finding.values[key] for key in ("status", "errors", "constants"))
     ended = f" ({status_text(status)})" if status else ""
@@ -517,6 +532,7 @@ def _refit_elsewhere(finding: Finding) -> str:
     return f"{finding.subject}: the last fit had not settled. Another that begins at these constants{ended} changes {moves}."
 
 
+@writes(DiscoveryCode.DETECTION_LIMIT)
 def _detection_limit(finding: Finding) -> str:
     v = finding.values
     return f"{finding.subject} is not detectable below {v['parameter']} = {wording.value_with_unit(v['limit'], v['unit'], 2)}"
@@ -527,27 +543,18 @@ register(
         # The answer.
         DiscoveryCode.NOTHING_MISSING: "No effect is missing: the plain model explains the records down to the noise.",
         DiscoveryCode.EFFECT_NAMED: "The plain model lacks {subject}: with it, only noise is left.",
-        DiscoveryCode.EFFECTS_ESTABLISHED: _effects_established,
-        DiscoveryCode.ERROR_REDUCED: _error_reduced,
         DiscoveryCode.ERROR_LEFT: lambda f: f"{_remaining_text(f.subject, f.values)}.",
-        DiscoveryCode.EFFECTS_TIED: _effects_tied,
-        DiscoveryCode.CLAIM_ESTABLISHED: _claim_established,
-        DiscoveryCode.EFFECTS_PROBABLE: _effects_probable,
         DiscoveryCode.UNKNOWN_EFFECT: "The model lacks an effect, and no effect of the catalogue is established.",
         DiscoveryCode.NO_LOOK_ALIKE: "What follows the estimation records best, {subject}, does no better than the plain model on the"
         " validation records: the plain model is the answer.",
         DiscoveryCode.WORSE_ON_TEST: "What follows the estimation and the validation records best, {subject}, does worse than the plain"
         " model on the test records: the plain model is the answer.",
         DiscoveryCode.NEAREST_LOOK_ALIKE: "The nearest look-alike is {subject}.",
-        DiscoveryCode.USUAL_FIRST: _usual_first,
-        DiscoveryCode.WITHIN_SENSOR_CLASS: _within_sensor_class,
         DiscoveryCode.HARDLY_VISIBLE: lambda f: (
             "The estimation records hardly show it: the misfit of the plain model there is"
             f" {ratio_text(f.values['misfit'], f.values['bounded'])}."
         ),
-        DiscoveryCode.MISSING_SIGNAL: _missing_signal,
         DiscoveryCode.SURROGATE_FITTED: lambda f: f"As a surrogate, {surrogate_text(f.values)}.",
-        DiscoveryCode.LAW_ESTABLISHED: _law_established,
         DiscoveryCode.LAW_PROBABLE: lambda f: (
             f"The most probable law is {_laws_text(f.values['laws'])}; it is not established."
         ),
@@ -555,10 +562,8 @@ register(
             f"The plain model lacks one of these laws: {'; '.join((_laws_text(f.values['laws']), *f.values['rivals']))}. The records cannot"
             " distinguish them."
         ),
-        DiscoveryCode.LAW_LIKENESS: _law_likeness,
         DiscoveryCode.NO_LAW: "No equation among {terms} terms explains it.",
         # What a reader should know.
-        DiscoveryCode.LAW_RANGE: _law_range,
         DiscoveryCode.LEARNT_FROM_VALIDATION: "the plain model follows the estimation records and not the validation records: the first"
         " half of these was fitted as well, and their second half judges",
         DiscoveryCode.ERRORS_GROW: "the plain model is unstable: an error grows by e^{exponent:.3g} over a record of {duration:.4g} s."
@@ -578,11 +583,8 @@ register(
         DiscoveryCode.PLANT_FAILS: "{subject} itself does not run with {effects}: their constants and errors are those of the model"
         " about its run",
         DiscoveryCode.PLANT_RUNS: "{subject} was run {runs} times over a record",
-        DiscoveryCode.REFIT_ELSEWHERE: _refit_elsewhere,
-        DiscoveryCode.TEST_ERROR: _test_error,
         DiscoveryCode.MISSING_ON_TEST: "the test records, which took no part in the search, contradict that only noise is left: the"
         " error of {subject} there is {ratio:.3g} times the noise",
-        DiscoveryCode.DETECTION_LIMIT: _detection_limit,
         # Why an effect was not tried.
         DiscoveryCode.NO_PLACE: "the model has no place for it: {reason}",
         DiscoveryCode.EFFECT_PRESENT: "the model contains it already",
@@ -602,7 +604,6 @@ register(
         DiscoveryCode.CANDIDATE_FAILED: "it could not be fitted: {reason}",
         DiscoveryCode.CANDIDATE_NOT_SIMULATED: "the model with it cannot be simulated from any starting point",
         # What to do next.
-        DiscoveryCode.ASK_PART: _ask_part,
         DiscoveryCode.SEPARATE_FROM_RIVAL: lambda f: (
             f"record an experiment in which {effect_title(f.subject)} and {effect_title(f.values['rival'])} differ (another amplitude,"
             " speed or direction; `greybox design` with `--goal discrimination` plans it): these records do not separate them"
@@ -613,7 +614,6 @@ register(
         " as physics",
         DiscoveryCode.STATE_NOISE: "give the noise of {subject} (a number or a quiet record): these records show only what it is at"
         " most, and below that an effect may hide",
-        DiscoveryCode.CHECK_NOISE: _check_noise,
         DiscoveryCode.EXTEND_ESTIMATION_RECORDS: "use longer estimation records, or records with the range of the validation records:"
         " these hardly show the missing effect",
         DiscoveryCode.COVER_VALIDATION_RANGE: lambda f: (

@@ -19,7 +19,7 @@ from greybox.estimation.result import ResultCode
 from greybox.estimation.transcription.problem import SolutionCode, TranscriptionReason
 from greybox.show.sentences import wording
 from greybox.show.sentences.data import describe_source, join_alike
-from greybox.show.sentences.registry import register, renders, sentence, sentences
+from greybox.show.sentences.registry import register, renders, sentence, sentences, writes
 
 if TYPE_CHECKING:
     from greybox.estimation import FitNoise, MultiStartResult, SolverReport
@@ -109,6 +109,7 @@ def _write_open(finding: Finding) -> str:
     return text + (f"; determined: {', '.join(determined)}" if determined else "")
 
 
+@writes(EstimationCode.MISFIT_RATIO)
 def _write_misfit_ratio(finding: Finding) -> str:
     outliers = ", outliers excluded" if finding.values["without_outliers"] else ""
     ratio, least = finding.values["ratio"], finding.values.get("least_ratio")
@@ -116,6 +117,7 @@ def _write_misfit_ratio(finding: Finding) -> str:
     return f"misfit {size} times the noise in {finding.subject}{outliers}"
 
 
+@writes(EstimationCode.TERM_NOT_FINITE)
 def _write_term_not_finite(finding: Finding) -> str:
     v = finding.values
     if v["kind"] == "start":
@@ -140,6 +142,7 @@ def _write_point(finding: Finding) -> str:
     return ", ".join(f"{q['name']} = {q['value']} {q['unit']}".rstrip() for q in finding.values["point"])
 
 
+@writes(EstimationCode.MODEL_DOES_NOT_FOLLOW)
 def _write_other_plant(finding: Finding) -> str:
     listed = ", ".join(
         f"{wording.percent_text(percent / 100, 2)} of {name}" for name, percent in finding.values["best_fit"].items()
@@ -157,6 +160,7 @@ def _write_part(label: str) -> str:
     return PARTS[kind].replace("half of the record", "half of the record" if subject == "1" else "half of each record")
 
 
+@writes(EstimationCode.PARAMETER_NOT_CONSTANT)
 def _write_shifts(finding: Finding) -> str:
     by_parts: dict[tuple[str, ...], list[str]] = {}
     for s in finding.values["shifts"]:
@@ -175,6 +179,7 @@ def _write_shifts(finding: Finding) -> str:
     return f"not constant: {shifts}; {words} for an effect that the model lacks, or the plant changes"
 
 
+@writes(EstimationCode.LIMITED_FROM_BOUND)
 def _write_limit(finding: Finding) -> str:
     v, name = finding.values, finding.subject
     side, limit = ("lower", "an upper limit") if v["is_upper"] else ("upper", "a lower limit")
@@ -184,6 +189,7 @@ def _write_limit(finding: Finding) -> str:
     return f"{name} is at its {side} bound; the records set {limit} of {value} (95 %)"
 
 
+@writes(EstimationCode.NARROWED_BY_BOUND)
 def _write_narrowed(finding: Finding) -> str:
     finite = {name: growth for name, growth in finding.values["growth"].items() if growth is not None}
     widened = ", ".join(f"{name} {growth:.2g} times" for name, growth in finite.items())
@@ -199,11 +205,13 @@ def _write_narrowed(finding: Finding) -> str:
 _COURSES = {"zero": "held between its rows", "first": "straight between its rows"}
 
 
+@writes(EstimationCode.INPUT_COURSE_CONTRADICTED)
 def _write_course_contradicted(finding: Finding) -> str:
     changes = f", with {_list_changes(finding)}" if finding.values["changes"] else ""
     return f"the records fit better with input {_list_courses(finding)}{changes}: {_course_remedy(finding, 'fit anew')}"
 
 
+@writes(EstimationCode.INPUT_COURSE_OPEN)
 def _write_course_open(finding: Finding) -> str:
     courses, remedy = _list_courses(finding), _course_remedy(finding, "if it moves so, fit anew")
     if not finding.values["changes"]:
@@ -239,10 +247,12 @@ def _write_input_noise(finding: Finding) -> str:
     return f"input{'s' * (len(levels) > 1)} {inputs} {'were' if len(levels) > 1 else 'was'} measured with noise"
 
 
+@writes(EstimationCode.INPUT_NOISE_COUNTED)
 def _write_noise_counted(finding: Finding) -> str:
     return f"{_write_input_noise(finding)}: the intervals of {', '.join(finding.values['counted'])} count it"
 
 
+@writes(EstimationCode.INPUT_NOISE_BIASES)
 def _write_noise_biases(finding: Finding) -> str:
     return (
         f"{_write_input_noise(finding)}, which the fit takes for movement: without it, about {_list_changes(finding)}; smooth the input"
@@ -257,6 +267,7 @@ def _list_changes(finding: Finding) -> str:
     )
 
 
+@writes(EstimationCode.STEP_MOVES_PARAMETERS)
 def _write_step_shifts(finding: Finding) -> str:
     shifts = ", ".join(f"{name} by {shift:.2g}" for name, shift in finding.values["shifts"].items())
     return (
@@ -265,6 +276,7 @@ def _write_step_shifts(finding: Finding) -> str:
     )
 
 
+@writes(EstimationCode.PRIOR_CONFLICT)
 def _write_prior_conflict(finding: Finding) -> str:
     v = finding.values
     # Files of earlier versions have no factor.
@@ -281,6 +293,7 @@ def _write_prior_conflict(finding: Finding) -> str:
     )
 
 
+@writes(EstimationCode.PRIORS_OFF_ALIKE)
 def _write_priors_off_alike(finding: Finding) -> str:
     v = finding.values
     where = f"of the input {' or '.join(v['inputs'])}, or " if v["inputs"] else ""
@@ -290,6 +303,7 @@ def _write_priors_off_alike(finding: Finding) -> str:
     )
 
 
+@writes(EstimationCode.GAIN_IS_UNIT_FACTOR)
 def _write_gain_of_unit(finding: Finding) -> str:
     v = finding.values
     factor = f"{wording.format_with_std(v['factor'], v['factor_std'])} times"
@@ -301,6 +315,7 @@ def _write_gain_of_unit(finding: Finding) -> str:
     return f"{what}: {v['units']} mistaken?"
 
 
+@writes(EstimationCode.VALUES_BY_RECORD)
 def write_record_trend(finding: Finding) -> str:
     """What the values of a constant by record have in common."""
     v, name = finding.values, finding.subject
@@ -329,22 +344,26 @@ def write_record_trend(finding: Finding) -> str:
     return text
 
 
+@writes(EstimationCode.HELD_BY_PRIOR)
 def _write_held_by_prior(finding: Finding) -> str:
     names = finding.values["parameters"]
     return f"determined by {'its prior' if len(names) == 1 else 'their priors'}: {', '.join(names)}; the data add little or nothing"
 
 
+@writes(EstimationCode.TIED_OUTSIDE_BOUNDS)
 def _write_tied_outside(finding: Finding) -> str:
     v, unit = finding.values, format_unit(finding.values["unit"])
     return f"the tied parameter {finding.subject} is outside its bounds: {v['value']:.5g} {unit}, bounds [{v['low']}, {v['high']}] {unit}"
 
 
+@writes(EstimationCode.ROBUST_LOSS_OUTLIERS)
 def _write_outliers(finding: Finding) -> str:
     shares = finding.values["shares"]
     counted = f"{wording.format_shares(shares)} count as outliers" if shares else "no sample counts as an outlier"
     return f"robust loss ({finding.values['loss']}): {counted}"
 
 
+@writes(EstimationCode.CONSTANT_OUTPUT_EXCLUDED)
 def _write_excluded(finding: Finding) -> str:
     names = finding.values["outputs"]
     verb, noise, sensors, them = (
@@ -356,6 +375,11 @@ def _write_excluded(finding: Finding) -> str:
     )
 
 
+@writes(
+    EstimationCode.PROCESS_NOISE_ZERO,
+    EstimationCode.PROCESS_NOISE_NOT_SIGNIFICANT,
+    EstimationCode.PROCESS_NOISE_SIGNIFICANT,
+)
 def _write_process_noise(finding: Finding) -> str:
     v = finding.values
     unit = format_unit(v["unit"])
@@ -378,6 +402,7 @@ def _write_process_noise(finding: Finding) -> str:
     )
 
 
+@writes(EstimationCode.STARTS)
 def _write_starts(finding: Finding) -> str:
     """``18 of 20 starts ended at the best optimum, 2 at a worse one (misfit 3.4 times as large)``.
 
@@ -409,6 +434,7 @@ _TROUBLES = {
 }
 
 
+@writes(EstimationCode.OTHER_START_TAKEN)
 def _write_other_start(finding: Finding) -> str:
     v = finding.values
     before = f" (best fit {_write_best_fits(v['before'])})" if v["before"] else ""
@@ -421,6 +447,7 @@ def _write_other_start(finding: Finding) -> str:
     )
 
 
+@writes(EstimationCode.NO_START_HELPS)
 def _write_no_start_helps(finding: Finding) -> str:
     v = finding.values
     remedy = "give start values nearer to physical ones, and check units, signs and bounds"
@@ -435,12 +462,10 @@ def _write_no_start_helps(finding: Finding) -> str:
 
 register(
     {
-        EstimationCode.MISFIT_RATIO: _write_misfit_ratio,
         EstimationCode.PREDICTION_RATIO: (
             "prediction error {one_step:.3g} times the noise in {subject} one step ahead, simulation error {free_run:.3g} times"
         ),
         EstimationCode.FILTER_NOT_FINITE: "the Kalman filter diverges in experiment {experiment}: its values are not finite",
-        EstimationCode.TERM_NOT_FINITE: _write_term_not_finite,
         EstimationCode.STATES_DIVERGE: lambda f: (
             f"{_write_place(f)}: the states diverge, although every term is finite; the largest is {f.subject!r}, at {_write_point(f)}"
         ),
@@ -452,7 +477,6 @@ register(
             "{subject} does not run over experiment {experiment} from its start values ({reason}): give others"
             " (model.start(...), shell: --start)"
         ),
-        EstimationCode.MODEL_DOES_NOT_FOLLOW: _write_other_plant,
         EstimationCode.DIRECTION_UNDETERMINED: lambda f: f"not determined by these data: {_write_open(f)}",
         EstimationCode.NO_FREEDOM: (
             "{readings} readings for {unknowns} constants and first states: nothing is left that would tell the noise, so no interval can"
@@ -461,8 +485,6 @@ register(
         EstimationCode.STOPPED_BY_BOUND: lambda f: (
             f"stopped by a bound: {', '.join(f.values['parameters'])}; widen the bound, or add the effect that the model lacks"
         ),
-        EstimationCode.LIMITED_FROM_BOUND: _write_limit,
-        EstimationCode.NARROWED_BY_BOUND: _write_narrowed,
         EstimationCode.PARAMETER_UNDETERMINED: lambda f: (
             f"not determined (the 95 % interval exceeds half the value): {', '.join(f.values['parameters'])}"
         ),
@@ -477,7 +499,6 @@ register(
             "the misfit exceeds the noise estimated from differences of the records: the model is incomplete, or the noise is"
             " coloured (a quiet record shows which)"
         ),
-        EstimationCode.PARAMETER_NOT_CONSTANT: _write_shifts,
         EstimationCode.RESIDUAL_CORRELATED: lambda f: (
             f"the residual of {', '.join(f.values['outputs'])} is correlated from sample to sample: the intervals allow for it and are"
             f" up to {f.values['inflation']:.2g} times as wide as for white noise"
@@ -493,21 +514,15 @@ register(
             "the balance {subject} stores nothing, and its terms miss zero by {share:.2g} of the largest: give {state} a start value of"
             " the right size, and bounds"
         ),
-        EstimationCode.INPUT_COURSE_CONTRADICTED: _write_course_contradicted,
-        EstimationCode.INPUT_COURSE_OPEN: _write_course_open,
-        EstimationCode.INPUT_NOISE_COUNTED: _write_noise_counted,
         EstimationCode.START_IN_FIRST_ROW: lambda f: (
             f"record {f.subject} begins at {f.values['time']:g} s, and the start of {', '.join(f.values['states'])} is taken to hold there;"
             " where it holds at 0 s, begin the record with a row at 0 s without a reading"
         ),
-        EstimationCode.INPUT_NOISE_BIASES: _write_noise_biases,
-        EstimationCode.STEP_MOVES_PARAMETERS: _write_step_shifts,
         EstimationCode.VALIDATION_ERROR_LARGER: (
             "the simulation error in {subject} is {ratio:.1f} times that on the estimation records: a free run accumulates small errors"
             " of force and offset, above all if the plant integrates, and parameters change from day to day; validate on shorter"
             " records as well"
         ),
-        EstimationCode.GAIN_IS_UNIT_FACTOR: _write_gain_of_unit,
         EstimationCode.RESIDUAL_OF_STEPS: lambda f: (
             f"the reading {f.subject} has steps of {f.values['step']:.3g}, which by themselves make"
             f" {wording.percent_text(f.values['share'], 2)} of the mean square of its residual: no model does much better"
@@ -518,33 +533,20 @@ register(
             f" {wording.percent_text(f.values['jitter'] / f.values['usual_step'], 2)} of the step): that makes"
             f" {wording.percent_text(f.values['share'], 2)} of its mean square"
         ),
-        EstimationCode.PRIOR_CONFLICT: _write_prior_conflict,
-        EstimationCode.PRIORS_OFF_ALIKE: _write_priors_off_alike,
-        EstimationCode.HELD_BY_PRIOR: _write_held_by_prior,
-        EstimationCode.TIED_OUTSIDE_BOUNDS: _write_tied_outside,
         EstimationCode.MEAN_OF_EXPERIMENTS: lambda f: (
             f"each experiment has its own value of {', '.join(f.values['parameters'])}: the fitted model has the mean, and a validation"
             " uses the mean"
         ),
-        EstimationCode.VALUES_BY_RECORD: write_record_trend,
         EstimationCode.CONDITION_OF_RECORDS: (
             "{subject} is no constant of the model: constants that each record has for itself are held against it"
         ),
-        EstimationCode.ROBUST_LOSS_OUTLIERS: _write_outliers,
         EstimationCode.TOO_MANY_OUTLIERS: lambda f: (
             f"too many samples of {', '.join(f.values['outputs'])} count as outliers: the model is incomplete, or the noise is"
             " larger than assumed"
         ),
-        EstimationCode.CONSTANT_OUTPUT_EXCLUDED: _write_excluded,
-        EstimationCode.PROCESS_NOISE_ZERO: _write_process_noise,
-        EstimationCode.PROCESS_NOISE_NOT_SIGNIFICANT: _write_process_noise,
-        EstimationCode.PROCESS_NOISE_SIGNIFICANT: _write_process_noise,
         EstimationCode.NOISE_COLOUR_IGNORED: (
             "the noise is coloured, but a fit with process noise assumes white noise"
         ),
-        EstimationCode.STARTS: _write_starts,
-        EstimationCode.OTHER_START_TAKEN: _write_other_start,
-        EstimationCode.NO_START_HELPS: _write_no_start_helps,
         EstimationCode.STARTS_NOT_BEGUN: (
             "{left:d} of {starts:d} starts were not finished within {seconds:.3g} s; repeat the command to continue with them"
         ),
@@ -588,6 +590,7 @@ def write_correction(correction: PredictionCorrection) -> str:
     return f"Kalman filter, process noise{estimated} on {', '.join(correction.model.noisy_states)}"
 
 
+@writes(ResultCode.OTHER_CONSTANT)
 def _write_other_constant(finding: Finding) -> str:
     fitted, now = (f"{finding.values[when]:.6g}" for when in ("fitted", "now"))
     unit = f" {format_unit(finding.values['unit'])}".rstrip()
@@ -607,7 +610,6 @@ register(
             f"the model {f.subject} is not the one that was fitted: {f.values['fitted'] or 'nothing'} (fitted),"
             f" {f.values['now'] or 'nothing'} (now); its intervals and errors are those of the fitted one"
         ),
-        ResultCode.OTHER_CONSTANT: _write_other_constant,
     }
 )
 
@@ -665,6 +667,7 @@ def _write_integrating(ending: str) -> Callable[[Finding], str]:
     return write
 
 
+@writes(SolutionCode.SEARCH_STRATEGY)
 def _write_strategy(finding: Finding) -> str:
     """What was searched, how it was completed, and why it was chosen."""
     v = finding.values
@@ -705,7 +708,6 @@ def _write_transcription(name: str, v: Mapping[str, Any]) -> str:
 
 register(
     {
-        SolutionCode.SEARCH_STRATEGY: _write_strategy,
         TranscriptionReason.STABLE: "the model is stable and not stiff",
         TranscriptionReason.UNSTABLE: (
             "the model is unstable: errors grow at {rate:.3g} 1/s, by e^{exponent:.3g} over the record of {duration:.4g} s, too far for"

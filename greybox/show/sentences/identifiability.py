@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base import Finding
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode
-from greybox.show.sentences.registry import register, renders, sentence
+from greybox.show.sentences.registry import register, renders, sentence, writes
 from greybox.show.sentences.wording import format_with_std, join_names, value_with_unit, with_unit
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def describe_closing(closing: Mapping[str, Any]) -> str:
     return f"{text}; knowing {relations} {does}"
 
 
+@writes(IdentifiabilityCode.MEASURE_OUTPUT, IdentifiabilityCode.ADD_SENSOR)
 def _recommend_signals(finding: Finding) -> str:
     signals = " or ".join(finding.values["signals"])
     measure = finding.code == IdentifiabilityCode.MEASURE_OUTPUT
@@ -53,6 +54,7 @@ def _where(inputs: Sequence[str], outputs: Sequence[str]) -> str:
     return f"from {', '.join(inputs)} to {measured}" if inputs else f"from {measured}"
 
 
+@writes(IdentifiabilityCode.RICHER_RECORD)
 def _recommend_richer_record(finding: Finding) -> str:
     v = finding.values
     inputs = f": excite {', '.join(v['inputs'])} more strongly and over a wider band" if v["inputs"] else ""
@@ -70,6 +72,7 @@ def _name_exchanged(v: Mapping[str, Any]) -> str:
     return f"{join_names(v['exchanged'])} may change places{others}"
 
 
+@writes(IdentifiabilityCode.OTHER_ANSWER)
 def _write_other_answer(finding: Finding) -> str:
     """Another set of values that makes the same run, and what decides."""
     v = finding.values
@@ -81,6 +84,7 @@ def _write_other_answer(finding: Finding) -> str:
     return f"{_name_exchanged(v)}: {values} makes the same run{more}; a bound, a prior or {sensor} decides"
 
 
+@writes(IdentifiabilityCode.EXCHANGEABLE)
 def _write_exchangeable(finding: Finding) -> str:
     v = finding.values
     sums = [
@@ -92,6 +96,7 @@ def _write_exchangeable(finding: Finding) -> str:
     return f"{_name_exchanged(v)} and {where}{', which are' * v['equal']} by profile likelihood{better}"
 
 
+@writes(IdentifiabilityCode.SIMULATED_RECORD)
 def _simulated_record(finding: Finding) -> str:
     v = finding.values
     drive = ", ".join(
@@ -104,12 +109,7 @@ def _simulated_record(finding: Finding) -> str:
 
 register(
     {
-        IdentifiabilityCode.MEASURE_OUTPUT: _recommend_signals,
-        IdentifiabilityCode.ADD_SENSOR: _recommend_signals,
         IdentifiabilityCode.FIX_CONSTANTS: lambda f: describe_closing(f.values),
-        IdentifiabilityCode.RICHER_RECORD: _recommend_richer_record,
-        IdentifiabilityCode.OTHER_ANSWER: _write_other_answer,
-        IdentifiabilityCode.EXCHANGEABLE: _write_exchangeable,
         IdentifiabilityCode.NO_INPUT_MOVES: "no input moves: only the response to the initial state carries information",
         IdentifiabilityCode.EXCITATION_ORDER_LOW: lambda f: (
             f"{', '.join(f.values['inputs'])}: persistently exciting of order {f.values['order']}, but the model has"
@@ -128,7 +128,6 @@ register(
         IdentifiabilityCode.NO_FREE_CONSTANT: "no parameter is free: nothing to determine",
         IdentifiabilityCode.MODEL_OVERFLOWS: "at the start values, the model overflows on {subject} after {time:.3g} s; set other values"
         " with --start",
-        IdentifiabilityCode.SIMULATED_RECORD: _simulated_record,
     }
 )
 

@@ -11,7 +11,7 @@ from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
 from greybox.base.numerics import VANISHED_POLE
 from greybox.estimation.linear.exported_model import ExportFinding
 from greybox.show.sentences.estimation import status_text
-from greybox.show.sentences.registry import register, renders
+from greybox.show.sentences.registry import register, renders, writes
 from greybox.show.sentences.wording import percent_text, value_with_unit
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from greybox.estimation.linear.transfer_channel import LinearBehaviour, TransferChannel
 
 
+@writes(ExportFinding.NO_EQUILIBRIUM)
 def _no_equilibrium(finding: Finding) -> str:
     imbalance = ", ".join(
         f"{r['balance']} by {value_with_unit(r['value'], r['unit'], 4)}" for r in finding.values["imbalance"]
@@ -29,6 +30,7 @@ def _no_equilibrium(finding: Finding) -> str:
     )
 
 
+@writes(ExportFinding.STEADY_MOTION)
 def _steady_motion(finding: Finding) -> str:
     others = (
         "all other states are at rest"
@@ -39,6 +41,7 @@ def _steady_motion(finding: Finding) -> str:
     return f"the operating point is a steady motion, not an equilibrium: {finding.subject} moves at {speed}, {others}"
 
 
+@writes(ExportFinding.OUTSIDE_RECORDS)
 def _outside_records(finding: Finding) -> str:
     signals = ", ".join(
         f"{_amount_of(s['name'], s['value'], s['unit'])} (records: {s['low']:.4g} to {value_with_unit(s['high'], s['unit'], 4)})"
@@ -53,6 +56,7 @@ def _amount_of(name: str, value: float, unit: str) -> str:
     return f"{name} = {value_with_unit(value, unit, 6)}"
 
 
+@writes(ExportFinding.FRICTION_LEFT_OUT)
 def _friction_left_out(finding: Finding) -> str:
     values = finding.values
     level = value_with_unit(values["level"], values["unit"], 4)
@@ -63,6 +67,7 @@ def _friction_left_out(finding: Finding) -> str:
     )
 
 
+@writes(ExportFinding.KINK)
 def _kink(finding: Finding) -> str:
     values = finding.values
     who = " and ".join(values["effects"]) or f"the equations of {values['model']}"
@@ -72,6 +77,7 @@ def _kink(finding: Finding) -> str:
     )
 
 
+@writes(ExportFinding.INPUT_WITHOUT_EFFECT)
 def _input_without_effect(finding: Finding) -> str:
     values = finding.values
     cause = f" ({', '.join(values['effects'])})" if values["effects"] else ""
@@ -82,6 +88,7 @@ def _input_without_effect(finding: Finding) -> str:
     )
 
 
+@writes(ExportFinding.STATES_REMOVED)
 def _states_removed(finding: Finding) -> str:
     values = finding.values
     reasons = (("unreached", "not controllable"), ("unobserved", "not observable"))
@@ -89,6 +96,7 @@ def _states_removed(finding: Finding) -> str:
     return f"the minimal realisation has {values['states']} of {values['of']} states; removed: {removed}"
 
 
+@writes(ExportFinding.MODE_UNDERSAMPLED)
 def _mode_undersampled(finding: Finding) -> str:
     values = finding.values
     if values["samples"] <= 2:
@@ -106,11 +114,6 @@ register(
         ExportFinding.FIT_FAILED: lambda finding: (
             f"the fit failed ({status_text(finding.values['status'])}): do not use its parameters"
         ),
-        ExportFinding.NO_EQUILIBRIUM: _no_equilibrium,
-        ExportFinding.STEADY_MOTION: _steady_motion,
-        ExportFinding.OUTSIDE_RECORDS: _outside_records,
-        ExportFinding.FRICTION_LEFT_OUT: _friction_left_out,
-        ExportFinding.KINK: _kink,
         ExportFinding.PLAY_CLOSED: (
             "{subject} cannot be linearised: {state} either stays or moves with the plant; the play is assumed to be closed, as in a"
             " large motion in one direction"
@@ -123,13 +126,10 @@ register(
             "the plant is run from outside: the linear model is its answer to small changes of the inputs along {subject}, of"
             " which it follows {share:.0%} at least"
         ),
-        ExportFinding.INPUT_WITHOUT_EFFECT: _input_without_effect,
         ExportFinding.DELAY_APPROXIMATED: (
             "the delay of {delay:.4g} s of {subject} is a Pade approximation of order {order}, accurate up to about {limit:.3g} rad/s;"
             " use a sampled model (dt) for the exact delay"
         ),
-        ExportFinding.STATES_REMOVED: _states_removed,
-        ExportFinding.MODE_UNDERSAMPLED: _mode_undersampled,
         ExportFinding.DECAY_UNDERSAMPLED: (
             "the sampling time {dt:g} s is too long: every mode decays within one sample (the slowest in {time_constant:.2g} s); use"
             " {proposed:.2g} s or less"
