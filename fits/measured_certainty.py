@@ -289,27 +289,6 @@ def write_page(lines: Sequence[Mapping[str, Any]], note: str = "") -> str:
         cells = ["/".join(str(c[depth, "established", truth]) for truth in WORDS) for depth in DEPTHS]
         names = count(map(first_name, here)) if RIGS[rig].is_in_catalogue else "-"
         by_rig.append([rig, str(len(here)), names, *cells, f"{np.median([line['seconds'] for line in here]):.0f}"])
-    answers = [
-        [
-            line["rig"],
-            f"{line['learn']} -> {line['choose']}",
-            line["verdict"],
-            tell_effects(line),
-            tell_deepest(line),
-            tell_errors(line),
-        ]
-        for line in lines
-    ]
-    trips = [
-        [
-            line["rig"],
-            line["learn"],
-            *(f"{t['ratio'][where]:.3f}" for where in ("learn", "choose", "judge")),
-            tell_trip(t),
-        ]
-        for line in lines
-        for t in [line["round_trip"]]
-    ]
     return "\n".join(
         [
             HEAD.format(
@@ -321,15 +300,6 @@ def write_page(lines: Sequence[Mapping[str, Any]], note: str = "") -> str:
             "\n## By rig\n",
             BY_RIG,
             markdown(["rig", "searches", "right name first", *DEPTHS.values(), "CPU s (median)"], by_rig),
-            "\n## Every answer\n",
-            ANSWERS,
-            markdown(
-                ["rig", "learnt, chosen", "verdict", "effects", "deepest established", "error, plain to answer"],
-                answers,
-            ),
-            "\n## Round trips\n",
-            TRIPS,
-            markdown(["rig", "learnt from", "learnt", "chosen", "judged", "else"], trips),
             "",
         ]
     )
@@ -356,30 +326,13 @@ def tell_deepest(line: Mapping[str, Any]) -> str:
     )
 
 
-def tell_errors(line: Mapping[str, Any]) -> str:
-    """Error of the plain model and of the answer on the records that chose and that judged, by output."""
-    plain, answer = line["errors"]["plain"], line["errors"]["answer"]
-    return "; ".join(
-        f"{output} "
-        + ", ".join(f"{plain[where][output]:.3g} to {answer[where][output]:.3g}" for where in ("choose", "judge"))
-        for output in plain["choose"]
-    )
-
-
-def tell_trip(trip: Mapping[str, Any]) -> str:
-    """What differs on a round trip."""
-    c = trip["c"]
-    words = [f"in C: {c}" if isinstance(c, str) else f"in C: within {c:.1g}", f"refit {trip['status']}", *trip["said"]]
-    lost = max(trip["written"], trip["rewritten"])
-    return "; ".join([*words, *([f"constants change by {lost:.1g} when written"] if lost > 1e-12 else [])])
-
-
 HEAD = """# Certainty on measured records
 
 Written by `python -m fits.measured_certainty FOLDER --page docs/studies/measured_certainty.md`: {searches} of {planned} searches, on {rigs}
 rigs, nothing told but the plain model.{note} Each learns from one record, chooses by another and is judged on a third
 (two falls of a ball on another ball of its kind). The records are public and not part of this project; `fits.measured_rigs` says whose
-they are and what is known of each rig.
+they are and what is known of each rig. The file of a search in RESULTS holds its answer whole: effects, claims, errors, and its round
+trip (the model that is handed over is written, read back and fitted to the same records, and run in C).
 
 - Known by construction, weighing or publication: balls (of heavy ones only the camera shows), rotor (braked at known times, or healthy),
   pendulum, heaters, damper. Of the others nobody knows all: what is claimed beside the known facts is counted as *not known*.
@@ -391,13 +344,6 @@ have been looked at while the method was built, the silverbox, EMPS and tanks lo
 them. So this page is no blind test. What these records taught stands [in a chapter of its own](../measured_lessons.md).
 """
 BY_RIG = "What was established at each depth: right/wrong/not known.\n"
-ANSWERS = """Errors are rms of free runs on the record that chose, and on the one that took no part: an answer that is worse there
-than the plain model, beyond chance, is not given.
-"""
-TRIPS = """The model that the search hands over is written, read back and fitted to the same records: its error over that of the answer on
-the records that it learnt from, was chosen by, was judged on. In C: the largest difference from the library over the record that
-judged, as a share of the largest output.
-"""
 
 
 def name_file(case: Case) -> str:
