@@ -170,13 +170,11 @@ def write_claims(rows: Sequence[Row], docs: Path) -> None:
         f" ({rows[0]['name']} to {rows[-1]['name']}, {sum(len(r['answers']) for r in rows)} answers) on {len(plants)} plants"
         f" ({', '.join(plants)}) that took no part in setting anything: the numbers that turn a weight into a probability were fitted to"
         f" another draw. In {without} of the answers the true effect and its family had been taken away from the candidates. Written by"
-        " `python -m fits.hidden_study FOLDER --page`.",
+        " `python -m fits.hidden_study FOLDER --page`; FOLDER holds each answer.",
         f"A claim is established from a probability of {ESTABLISHED_FROM:g} on.",
         _depth_table(rows),
         *(f"## {TITLES[d].capitalize()}\n\n{_reliability_table(list_claims(rows, d))}" for d in Depth if d),
         "![Stated probability against observed frequency, by depth](figures/claims.svg)",
-        "## Established and wrong",
-        _wrong(rows),
     ]
     (docs / "claims.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")
 
@@ -208,18 +206,6 @@ def _reliability_table(claims: Sequence[Row]) -> str:
                 f"| {low:g} to {min(high, 1):g} | {chosen.sum()} | {stated[chosen].mean():.2f} | {right[chosen].mean():.2f} |"
             )
     return "\n".join(lines)
-
-
-def _wrong(rows: Sequence[Row]) -> str:
-    lines = [
-        f"| {c['case']} | {TITLES[d]} | {c['site']} | {', '.join(c['variables'])} | {c['name'] or ', '.join(c['family'][:1])} |"
-        f" {'taken away' if c['left_out'] else ''} |"
-        for d in Depth
-        for c in list_claims(rows, d)
-        if not c["right"] and c["grade"] == Grade.ESTABLISHED
-    ]
-    head = ["| case | claim | where | of | which | the truth |", "|---|---|---|---|---|---|"]
-    return "\n".join([*head, *lines]) if lines else "None in these cases."
 
 
 def _figure(rows: Sequence[Row]) -> Figure:

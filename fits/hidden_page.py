@@ -74,7 +74,8 @@ def write(rows: Sequence[Row], docs: Path, length: int) -> None:
         " (`fits/plant_cases.py`), simulated by `fits/rig_twins.py` and `fits/plant_twins.py`, which share no code with greybox;"
         f" mostly {length} samples for learning, {length} for judging. `greybox.discover` sees what a user has: records, some known"
         " constants, start values up to 40 % off, and in about half of the cases the noise. Each case is answered a second time with the"
-        " true effects and their families taken away from the candidates. Written by `python -m fits.hidden_study FOLDER --page`.",
+        " true effects and their families taken away from the candidates. Written by `python -m fits.hidden_study FOLDER --page`; FOLDER"
+        " holds each answer.",
         f"A share of {len(rows)} cases is known to about {100 / max(len(rows), 1) ** 0.5:.0f} percentage points: more cases are a matter of"
         " processor time, and a folder begun is gone on with. The baselines refit nothing; the sparse regression can only name the seven"
         " effects that its library holds a function for (`fits/hidden_baselines.py`).",
@@ -90,8 +91,6 @@ def write(rows: Sequence[Row], docs: Path, length: int) -> None:
         "Rows: what was hidden, where the plain model shows it (misfit at least 1.1 times the noise). Columns: what was said.",
         _confusion(rows),
         "![Truth against answer](figures/discovery_study.svg)",
-        "## What went wrong",
-        _wrong(rows),
     ]
     (docs / "discovery_study.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")
 
@@ -309,31 +308,6 @@ def _confusion(rows: Sequence[Row]) -> str:
         answers = sorted(((n, s) for (t, s), n in counted.items() if t == truth), reverse=True)
         lines.append(f"| {truth} | {', '.join(f'{answer} {n}' for n, answer in answers)} |")
     return "\n".join(lines)
-
-
-def _wrong(rows: Sequence[Row]) -> str:
-    lines = []
-    for r in rows:
-        for answer in r["answers"] or [FAILED | {"left_out": False}]:
-            if not _is_fine(r, answer):
-                said = ", ".join(f"{e['name']} ({e['grade']})" for e in answer["effects"]) or NOTHING
-                taken = "taken away" if answer["left_out"] else ""
-                truth = " + ".join(r["truth"]) or NOTHING
-                lines.append((r["name"], truth, taken, said, answer["verdict"], f"{r['base']:.2f}"))
-    head = "case | hidden | | said | verdict | plain model over noise"
-    return _table(head, lines) if lines else "Nothing in these cases."
-
-
-def _is_fine(row: Row, answer: Row) -> bool:
-    if "error" in row or is_falsely_certain(row, answer):
-        return False
-    if answer["left_out"] or row["kind"] == "foreign":
-        return True
-    if row["kind"] == "mixed":
-        return _has_listed(row)
-    if row["kind"] == "complete" or row["base"] < VISIBLE:
-        return answer["verdict"] == "complete" or row["base"] < VISIBLE
-    return tied(row)
 
 
 def _figure(rows: Sequence[Row]) -> Figure:
