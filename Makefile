@@ -42,7 +42,7 @@ docs: $(VENV)/.installed-docs ## build the documentation into site/, warnings ar
 
 bench: export OMP_NUM_THREADS = 1
 bench: export OPENBLAS_NUM_THREADS = 1
-bench: $(VENV)/.installed-bench ## time fits against other programs (bench.json, docs/studies/benchmark.md; some minutes)
+bench: $(VENV)/.installed-bench ## time fits against other programs (bench.json, docs/studies/speed.md; some minutes)
 	$(BIN)/python -m benchmarks.bench $(ARGS)
 
 clean: ## remove the environment, builds and caches

@@ -1,4 +1,4 @@
-"""`make bench`: how long the same fit takes here and elsewhere. Writes bench.json and docs/studies/benchmark.md.
+"""`make bench`: how long the same fit takes here and elsewhere. Writes bench.json and its part of docs/studies/speed.md.
 
 The unit is the simulation equivalent: CPU time of a fit over the CPU time of one compiled RK4 pass over the same data,
 measured in the same process just before and after. Imports, just-in-time compilation and building are not counted, here or
@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks import ours, peers
 from benchmarks.problems import CASES, Case, actuator
-from benchmarks.report import page
+from benchmarks.report import page, put_part
 
 ROUNDS = 5
 SLOT = 0.3  # CPU seconds of one timing, at least
@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }
     (chosen.output / "docs" / "studies").mkdir(parents=True, exist_ok=True)
     (chosen.output / "bench.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    (chosen.output / "docs" / "studies" / "benchmark.md").write_text(page(result), encoding="utf-8")
+    put_part(chosen.output / "docs" / "studies", "1", page(result))
     say(page(result))
 
 
@@ -137,7 +137,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="most rounds (%(default)s)")
     parser.add_argument(
-        "--output", type=Path, default=ROOT, help="folder of bench.json and docs/studies/benchmark.md (this one)"
+        "--output", type=Path, default=ROOT, help="folder of bench.json and docs/studies/speed.md (this one)"
     )
     chosen = parser.parse_args(arguments)
     if unknown := set(chosen.problems) - set(names):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from pathlib import Path
 
+from fits.paper_page import write_section
 from greybox.simulation.kernel.c_compiler import describe_machine
 
 NAMES = {
@@ -18,12 +20,23 @@ NAMES = {
 }
 GOALS = {"casadi_single_shooting": 50, "scipy_numba": 3, "lmfit_numba": 3, "jax_sysid": 30}
 
+HEAD = """# Speed and scale
+
+How long fits take beside other programs, how long a first search takes, and how cost grows with states, constants, rows, records and
+workers.
+"""
+
+
+def put_part(folder: Path, name: str, text: str) -> Path:
+    """Put ``text`` as the part ``name`` into ``speed.md`` in ``folder``: 1 is fits, 3 scale; 2, first searches, is written by hand."""
+    return write_section(folder, name, text, "speed.md", HEAD)
+
 
 def page(result: dict) -> str:
-    """Markdown."""
+    """The part of the page, in Markdown."""
     problems = result["problems"]
     lines = [
-        "# How long fits take",
+        "## How long fits take",
         "",
         "Written by `make bench`. The unit is the simulation equivalent: CPU time of the whole fit over that of one compiled RK4",
         "pass over the same data, measured in the same process just before and after. Short fits are repeated for 0.3 s. Imports,",

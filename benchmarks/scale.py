@@ -1,4 +1,4 @@
-"""How cost grows with states, constants and rows: ``python -m benchmarks.scale``. Writes docs/studies/scale.md and its figure.
+"""How cost grows with states, constants and rows: ``python -m benchmarks.scale``. Writes its part of docs/studies/speed.md and the figure.
 
 The plants are chains of masses on springs (`benchmarks/chains.py`). Each size is measured in a process of its own with an empty cache, in
 seconds of its processor time (compilers in the background included, apart); a pass is the best of several.
@@ -25,6 +25,7 @@ import greybox as gb
 from benchmarks.chains import STEP, make_chain, make_trial
 from benchmarks.passes import Pass, Sums, measure_programs
 from benchmarks.problems import actuator
+from benchmarks.report import put_part
 from greybox.data.experiment import Experiment
 from greybox.estimation.noise_loop import solve
 from greybox.estimation.transcription.problem import prepare_problem
@@ -349,7 +350,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     found |= json.loads(json.dumps({part: PARTS[part]() for part in parts}))
     (ROOT / "scale.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
     draw(found, chosen.output / "figures" / "scale.svg")
-    (chosen.output / "scale.md").write_text(write_page(found), encoding="utf-8")
+    put_part(chosen.output, "3", write_page(found))
 
 
 if __name__ == "__main__":
