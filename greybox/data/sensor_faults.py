@@ -65,7 +65,7 @@ def _find_faults(
     elif dead is not None:
         figures: dict[str, Any] = {"value": float(values[dead]), "start": float(time[dead]), "rows": len(time) - dead}
         yield RecordCode.SENSOR_DEAD, figures
-    elif len(spikes := _find_spikes(values, inputs)):
+    elif len(spikes := find_spikes(values, inputs)):
         yield RecordCode.SENSOR_SPIKES, {"count": len(spikes), "times": [float(time[k]) for k in spikes[:5]]}
     for end, rows, stays in _find_saturation(values):
         figures = {"end": end, "value": float(values[rows[0]]), "rows": len(rows), "stays": stays}
@@ -233,7 +233,7 @@ UNTOUCHED_SHARE, NORMAL_REACH = 0.7, 1.89
 EVEN_SPREAD = 0.4
 
 
-def _find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray]) -> np.ndarray:
+def find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray]) -> np.ndarray:
     """Rows in which an output lies by far more beside its neighbours than it ever does.
 
     Not where an input leaves and is back as well, or has just done so: the plant may follow. None where there are many: that is noise.

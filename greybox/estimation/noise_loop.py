@@ -14,17 +14,24 @@ import numpy as np
 from greybox.base import ModelError
 from greybox.data.noise.noise_model import AutoRegression, NoiseSource
 from greybox.data.noise.spectrum import estimate_spread
+from greybox.data.sensor_faults import find_spikes
 from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
 from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Termination, TerminationPolicy, TerminationStatus
-from greybox.estimation.options import ColourTreatment, FitOptions, LossKind, Transcription
+from greybox.estimation.options import ColourTreatment, FitOptions, LossKind, RobustLoss, Transcription
 from greybox.estimation.result_parts import RobustReport
 from greybox.estimation.sandwich import LEAST_LEVEL_READINGS, estimate_residual_colour
 from greybox.estimation.transcription.collocation import solve_collocation
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.multiple_shooting import solve_multiple_shooting
 from greybox.estimation.transcription.plant_search import SHARES, shoot_part, solve_plant
-from greybox.estimation.transcription.problem import Completion, EstimationProblem, FitProgressCallback, Runs, Solution
+from greybox.estimation.transcription.problem import (
+    Completion,
+    EstimationProblem,
+    FitProgressCallback,
+    Runs,
+    Solution,
+)
 from greybox.estimation.transcription.select import select_transcription, shorten_steps, try_free_run
 from greybox.estimation.transcription.shooting_cost import PlantShooting
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
@@ -153,7 +160,13 @@ def estimate_by_simulation_error(
     """
     if colour == ColourTreatment.WHITE:
         problem = problem.with_white_noise()
-    solution, noise = solve(problem, options, report), problem.noise
+    begin = _begin_robust(problem, options)
+    solution, noise = solve(begin, options, report), problem.noise
+    if begin is not problem and solution.status.success:
+        # What the first search left out is back with the first change of the noise, which gives the problem its loss again.
+        solution = replace(solution, problem=replace(solution.problem, records=problem.records, loss=None))
+    elif begin is not problem:
+        solution = solve(problem, options, report).with_work_of(solution)
     for _ in range(options.policy.noise_rounds):
         wanted = update_noise(solution, options, colour) if solution.status.success else None
         if wanted is not None:
@@ -284,11 +297,40 @@ def _update_loss(solution: Solution, options: FitOptions) -> EstimationProblem |
         return None
     # Of the bulk, which outliers do not enlarge: 1.48 times the median size.
     scale = estimate_bulk_scale(solution)
-    if before is None and loss.kind != LossKind.HUBER:
-        loss = replace(loss, kind=LossKind.HUBER, threshold=options.policy.huber_threshold)
-    elif before is not None and before.kind == loss.kind and is_settled(scale / before.scale):
+    if before is None or not is_settled(scale / before.scale, SETTLED_SCALE):
+        wanted = to_huber(loss, options) if before is None else before
+    elif before.kind != loss.kind:
+        wanted = loss
+    else:
         return None
-    return replace(solution.problem, loss=replace(loss, scale=scale))
+    return replace(solution.problem, loss=replace(wanted, scale=scale))
+
+
+def to_huber(loss: RobustLoss, options: FitOptions) -> RobustLoss:
+    """Huber's loss in place of one that bends down."""
+    return loss if loss.kind == LossKind.HUBER else RobustLoss(LossKind.HUBER, options.policy.huber_threshold)
+
+
+def _begin_robust(problem: EstimationProblem, options: FitOptions) -> EstimationProblem:
+    """``problem`` without readings far beside their neighbours, and with Huber's loss at the scale of the bulk of its errors at the start.
+
+    Least squares would follow outliers first, from where no robust loss leads back. On this scale few errors but theirs are outliers, and
+    from search to search it shrinks to that of the noise: graduated non-convexity (Blake and Zisserman 1987).
+    """
+    loss = options.to_loss()
+    if loss is None:
+        return problem
+    records = []
+    for record in problem.records:
+        y = record.y.copy()
+        for column in y.T:
+            rows = np.flatnonzero(np.isfinite(column))
+            column[rows[find_spikes(column[rows], list(record.u[rows].T))]] = np.nan
+        records.append(replace(record, y=y))
+    problem = replace(problem, records=tuple(records))
+    errors = compute_whitened_residuals(problem, problem.shooting().simulate(problem.variables.here))
+    scale = np.array([estimate_spread(column, robust=True) or 1.0 for column in errors.T])
+    return replace(problem, loss=replace(to_huber(loss, options), scale=scale)) if np.isfinite(scale).all() else problem
 
 
 def _update_colour(solution: Solution, options: FitOptions) -> EstimationProblem | None:
@@ -303,13 +345,15 @@ def _update_colour(solution: Solution, options: FitOptions) -> EstimationProblem
     return replace(solution.problem, noise=replace(noise, colour=models))
 
 
-# The level of a noise, or the scale of a robust loss, stands still when it changes by less than this share from round to round.
+# The level of a noise stands still when it changes by less than this share from round to round ...
 SETTLED_SIZE = 0.02
+# ... and the scale of a robust loss, which the constants depend on, when it changes by less than this.
+SETTLED_SCALE = 0.002
 
 
-def is_settled(ratio: np.ndarray) -> bool:
+def is_settled(ratio: np.ndarray, share: float = SETTLED_SIZE) -> bool:
     """Whether what is known of the noise stands still: ``ratio`` (ny,) of the new sizes to those before."""
-    return bool(np.all(np.abs(ratio - 1) < SETTLED_SIZE))
+    return bool(np.all(np.abs(ratio - 1) < share))
 
 
 # Gauss-Newton steps after the last round at most, which give the parameters their last digits.

@@ -16,6 +16,7 @@ from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise import AutoRegression, GrowingNoise, NoiseModel, estimate_noise
 from greybox.data.problems import is_constant
 from greybox.data.read import as_experiments
+from greybox.data.sensor_faults import REPEAT_SHARE, SPIKE_RATIO
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, RobustLoss
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
@@ -212,6 +213,8 @@ def prepare_problem(
         n for n, signals in columns.items() if signals and n not in noise.sources and all(map(is_constant, signals))
     )
     records = tuple(_spread_noise(r, e, noise) for r, e in zip(arrays, group, strict=True))
+    if options.to_loss() is not None:
+        records = tuple(map(without_first_outlier, records))
     if constant:
         dead = [o.name in constant for o in model.outputs]
         records = tuple(replace(r, y=np.where(dead, np.nan, r.y)) for r in records)
@@ -294,6 +297,26 @@ def _spread_noise(record: Record, experiment: Experiment, noise: NoiseModel) -> 
         if name in experiment.noise:
             spread[:, j] = experiment.noise[name] / noise.std[j]
     return replace(record, spread=spread)
+
+
+def without_first_outlier(record: Record) -> Record:
+    """``record`` without a first reading that lies far off the next ones.
+
+    A robust loss bounds what it costs and not what it does: the initial state of a fast state follows it, and the constants with it.
+    """
+    y = record.y.copy()
+    for column in y.T:
+        rows = np.flatnonzero(np.isfinite(column))
+        moves = np.abs(np.diff(column[rows]))
+        usual = moves[moves > 0]
+        # It has one neighbour: it is off where this and the next are close together, and the others hardly ever move so far.
+        if (
+            len(moves) > 1
+            and len(usual)
+            and moves[0] > SPIKE_RATIO * max(moves[1], np.quantile(usual, 1 - REPEAT_SHARE))
+        ):
+            column[rows[0]] = np.nan
+    return replace(record, y=y)
 
 
 def guess_initial_states(
