@@ -26,7 +26,7 @@ from greybox.data.problems import (
     is_constant,
     raise_problems,
 )
-from greybox.data.sensor_faults import inspect_signals
+from greybox.data.sensor_faults import find_spikes, inspect_signals, is_first_off
 
 # Rows before a record that it keeps, in sampling intervals: as long as a delay of an input may be (each is a column of the step's input).
 MAX_DELAY_ROWS = 200
@@ -349,6 +349,19 @@ class Experiment(Printable):
         """The same record with these outputs, name -> (N,), in place of its own; none for the inputs alone."""
         noise = {n: v for n, v in self.noise.items() if n in outputs}
         return _with_sampling_time(replace(self, outputs=outputs, noise=noise), self.sampling_time)
+
+    def without_spikes(self) -> Experiment:
+        """The same record without the readings that jump away from their neighbours and back within one row; its findings say so."""
+        outputs, findings = {}, [f for f in self.findings if f.code != RecordCode.SENSOR_SPIKES]
+        for name, y in self.outputs.items():
+            rows = np.flatnonzero(np.isfinite(y))
+            spikes = rows[find_spikes(y[rows], [u[rows] for u in self.inputs.values()])]
+            spikes = np.append(rows[:1], spikes) if is_first_off(y[rows]) else spikes
+            outputs[name] = np.where(np.isin(np.arange(self.rows), spikes), np.nan, y)
+            findings += [Finding(RecordCode.SPIKES_LEFT_OUT, subject=name, values={"count": len(spikes)})] * bool(
+                len(spikes)
+            )
+        return _with_sampling_time(replace(self, outputs=outputs, findings=tuple(findings)), self.sampling_time)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings cannot be pickled and arrays lose their protection: rebuild through the constructor.

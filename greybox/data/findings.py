@@ -20,6 +20,7 @@ class RecordCode(StrEnum):
     SENSOR_FROZEN = "sensor_frozen"
     SENSOR_DEAD = "sensor_dead"
     SENSOR_SPIKES = "sensor_spikes"
+    SPIKES_LEFT_OUT = "spikes_left_out"
     SENSOR_SATURATED = "sensor_saturated"
     READING_COARSE = "reading_coarse"
     SENT_ON_CHANGE = "sent_on_change"

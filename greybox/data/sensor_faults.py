@@ -260,6 +260,15 @@ def find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray]) -> np.ndarray:
     return strays if spread >= EVEN_SPREAD else strays[:0]
 
 
+def is_first_off(values: np.ndarray) -> bool:
+    """Whether the first value (N,) lies far off the next two, which are close together, and others hardly ever move so far."""
+    moves = np.abs(np.diff(values))
+    usual = moves[moves > 0]
+    if len(moves) < 2 or not len(usual):
+        return False
+    return bool(moves[0] > SPIKE_RATIO * max(moves[1], np.quantile(usual, 1 - REPEAT_SHARE)))
+
+
 def _measure_offset(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far each value (N,) lies from the middle of its neighbours; and beyond both, where they are close together, else 0."""
     offset, beyond = np.zeros(len(values)), np.zeros(len(values))

@@ -105,7 +105,7 @@ def discover(
     without
         Names of effects that are not tried. `greybox.discovery.family_of` lists an effect with its relatives.
     options
-        Options of every fit.
+        Options of every fit. With a robust loss the search takes squares, without the readings that jump away and back within one row.
     policy
         The decision numbers.
     on_message
@@ -149,6 +149,11 @@ def discover(
     """
     began = time.perf_counter()
     options, policy, on_message = options or FitOptions(), policy or DiscoveryPolicy(), on_message or (lambda _: None)
+    if options.to_loss() is not None:  # sets of effects are compared by squares: what the loss would limit is left out
+        estimation, validation, test = (
+            [e.without_spikes() for e in _as_tuple(r)] for r in (estimation, validation, test or ())
+        )
+        options = replace(options, loss="squares")
     validation_set = ValidationSet(_as_tuple(validation), skip, beginning)
     growing = [name for name, given in (noise or {}).items() if isinstance(given, GrowingNoise)]
     if growing:

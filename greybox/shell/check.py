@@ -101,7 +101,7 @@ def _next(study: Study, survey: FileSurvey) -> NextCommand | str:
     present = {signal.name for signal in survey.signals}
     for entry in list_models().models:
         if {*(i.name for i in entry.model.inputs), *(o.name for o in entry.model.outputs)} <= present:
-            return study.then("check", entry.name, study.model, *study.estimation, keeps=())
+            return study.then("check", entry.name, study.model, *study.estimation)
     return "greybox init my_rig"
 
 

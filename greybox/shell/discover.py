@@ -9,7 +9,21 @@ from greybox.base import ExitCode
 from greybox.base.extensions import ExtensionKind, load_extension
 from greybox.shell import inputs
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import ESTIMATING, LAYOUT, SHARING, SHOWING, VALIDATING, Answer, Command, NextCommand, Study
+from greybox.shell.study import (
+    ESTIMATING,
+    IN_MODEL,
+    IN_RESULT,
+    INTEGRATING,
+    LAYOUT,
+    SHARING,
+    SHOWING,
+    SUBSTEPS,
+    VALIDATING,
+    Answer,
+    Command,
+    NextCommand,
+    Study,
+)
 from greybox.shell.terminal import exit_with_error, write_report
 
 if TYPE_CHECKING:
@@ -41,7 +55,6 @@ def discover(study: Study) -> Answer:
     """
     from greybox.base.parallel.jobs import open_workers
     from greybox.discovery.pipeline import discover as discover_effects
-    from greybox.estimation.options import FitOptions
     from greybox.shell.own_effects import find_effect, find_own_effects
 
     model = inputs.constrain(inputs.build_model(study), study)
@@ -70,7 +83,7 @@ def discover(study: Study) -> Answer:
                 effects=candidates,
                 without=_left_out(study),
                 further=study.further,
-                options=FitOptions(at_rest=study.at_rest),
+                options=inputs.fit_options(study),
                 on_message=say,
                 journal=journal,
                 on_refit=report,
@@ -95,12 +108,10 @@ def discover(study: Study) -> Answer:
 def _next(study: Study, result: Discovery, further: Path) -> NextCommand:
     """The extended model goes on to a fit of its own; where nothing was found, the next record is designed."""
     if not result.effects:
-        return study.then("design", further.parent / "discovery.json", *study.estimation, keeps=())
+        return study.then("design", further.parent / "discovery.json", *study.estimation, holds=IN_RESULT)
     if further.suffix != ".py":
-        return study.then("changed", further, *study.validation, keeps=())
-    # The model file holds values, bounds and what is fixed.
-    plain = study.but(fixed={}, start={}, free=(), ties={}, priors={})
-    return plain.then("fit", further, *study.estimation)
+        return study.then("changed", further, *study.validation, holds=IN_RESULT)
+    return study.then("fit", further, *study.estimation, holds=IN_MODEL)
 
 
 def _left_out(study: Study) -> tuple[str, ...]:
@@ -136,7 +147,8 @@ DISCOVER = Command(
     "Find the effect that a model lacks.",
     (
         *(*ESTIMATING, Study.candidates, Study.without, Study.without_family, Study.has, Study.lacks, Study.further),
-        *(Study.laws, Study.priors, Study.ties, Study.quiet, Study.validation, Study.test, Study.skip, Study.beginning),
+        *(Study.laws, Study.priors, Study.quiet, Study.validation, Study.test, Study.skip, Study.beginning),
+        *(*INTEGRATING, Study.schedules, Study.common_noise, Study.loss, Study.transcription, Study.arc_length),
         Study.estimation.but(usage="ESTIMATION", help="Records to learn from, headers 'name [unit]'.", required=True),
         Study.time_limit.but(
             help="End the search after so many seconds, with the best answer so far. The same command continues it."
@@ -148,5 +160,5 @@ DISCOVER = Command(
         "greybox discover micro_actuator train.csv --validate test.csv --fix M=0.01 --at-rest",
         "greybox discover emps train.csv --validate test.csv --effects coulomb_friction,constant_load",
     ),
-    (LAYOUT, *VALIDATING),
+    (LAYOUT, SUBSTEPS, *VALIDATING),
 )

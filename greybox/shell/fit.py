@@ -13,6 +13,7 @@ from greybox.shell import inputs
 from greybox.shell.progress import report_starts, show_fit_progress, show_progress
 from greybox.shell.study import (
     FITTING,
+    IN_RESULT,
     LAYOUT,
     QUIET,
     SHARING,
@@ -141,13 +142,13 @@ def next_command(study: Study, result: Fit, saved: Path) -> NextCommand:
     if not result.explains_records:
         # A constant that ended at its bound in a bad fit is as often the sign of another optimum as of a missing effect.
         if any(e.at_bound for e in result.parameters.values()) and study.starts <= 1:
-            return study.then("fit", *records, "--starts", "8")
+            return study.but(starts=8).then("fit", *records)
         return study.then("discover", *records)
     if not result.model.has_equations:
         return study.then("compare", *records)
     # A model that no name finds is named beside its fit.
     known = ["--model", study.model] if is_model_path(study.model) else []
-    return study.then("export", saved, "--to", "control", *known, keeps=())
+    return study.then("export", saved, "--to", "control", *known, holds=IN_RESULT)
 
 
 def _write_page(answer: FitAnswer, target: Path, skip: int) -> Path:

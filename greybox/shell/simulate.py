@@ -17,7 +17,7 @@ from greybox.shell.inputs import (
     refuse_broken_limits,
     set_parameters,
 )
-from greybox.shell.study import LAYOUT, SHOWING, SUBSTEPS, Answer, Command, Idle, Needs, Study
+from greybox.shell.study import IN_RECORD, LAYOUT, SHOWING, SUBSTEPS, Answer, Command, Idle, Needs, Study
 from greybox.shell.study_values import Numbers
 from greybox.shell.terminal import exit_with_error, print_note, write_report
 
@@ -80,7 +80,7 @@ def simulate(study: Study) -> Answer:
         SimulationAnswer(run, plant, added),
         lambda report: _as_json(run, target, report),
         [target],
-        next=study.then("fit", study.model, target, keeps=("fixed",)) if plant.free_parameters else "",
+        next=study.then("fit", study.model, target, holds=IN_RECORD) if plant.free_parameters else "",
         page=(lambda: write_report(run, target.with_suffix(".html"), model=plant, noise=added))
         if study.output
         else None,

@@ -333,9 +333,9 @@ class Study:
         label = self.label(option) if option.flags else ""
         return f"{label} {option.kind.spell(self.values[option.name])}".strip()
 
-    def then(self, command: str, *arguments: object, keeps: Collection[str] | None = None) -> NextCommand:
-        """The command that follows: ``arguments``, and those of its options that this study sets, or of these that it ``keeps``."""
-        return NextCommand(self, command, arguments, keeps)
+    def then(self, command: str, *arguments: object, holds: Collection[Option[Any]] = ()) -> NextCommand:
+        """The command that follows: ``arguments``, and those of its options that this study sets and no argument ``holds``."""
+        return NextCommand(self, command, arguments, holds)
 
     @property
     def uncounted(self) -> int:
@@ -423,25 +423,21 @@ Relation = Needs | Excludes | Idle
 
 @dataclass(frozen=True)
 class NextCommand:
-    """A ``command`` that follows a study: ``arguments``, and those of its options that the study sets, or of these that it ``keeps``."""
+    """A ``command`` that follows a study: ``arguments``, and those of its options that the study sets and no argument ``holds``."""
 
     study: Study
     command: str
     arguments: Sequence[object]
-    keeps: Collection[str] | None = None
+    holds: Collection[Option[Any]] = ()
 
     def spell(self, commands: Mapping[str, Command]) -> str:
         """As it is typed."""
         words = ["greybox", self.command, *map(str, self.arguments)]
         # A command that says an option in its own words has it twice: the last counts.
         options = {option.name: option for option in commands[self.command].options}
+        held = {option.name for option in self.holds}
         for option in options.values():
-            if (
-                (self.keeps is None or option.name in self.keeps)
-                and option.flags
-                and option.place
-                and self.study.sets(option)
-            ):
+            if option.name not in held and option.flags and option.place and self.study.sets(option):
                 values = option.kind.typed(self.study.values[option.name])
                 if isinstance(option.kind, kinds.Switch):
                     words.append(option.flags[0])
@@ -584,6 +580,14 @@ FITTING = (
     *(Study.common_noise, Study.quiet, Study.validation, Study.skip, Study.beginning, Study.loss),
     *(Study.transcription, Study.arc_length, Study.starts, Study.seed, Study.predict),
 )
+# What a file holds that is an argument of the command that follows: a model, the result of a fit or a search ...
+IN_MODEL = (
+    *(Study.fixed, Study.start, Study.free, Study.priors, Study.ties, Study.effects, Study.schedules),
+    *(Study.process_noise, Study.has, Study.lacks),
+)
+IN_RESULT = (*IN_MODEL, *(option for option in FITTING if option not in READING))
+# ... and a record that was written: how its inputs move between its rows it does not say.
+IN_RECORD = (Study.start, Study.noise, Study.seed, *(o for o in READING if o not in (Study.hold, Study.interpolation)))
 SHOWING = (Study.json, Study.details, Study.no_report)
 SHARING = (Study.workers, Study.cluster)
 

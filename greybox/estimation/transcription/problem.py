@@ -16,7 +16,7 @@ from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise import AutoRegression, GrowingNoise, NoiseModel, estimate_noise
 from greybox.data.problems import is_constant
 from greybox.data.read import as_experiments
-from greybox.data.sensor_faults import REPEAT_SHARE, SPIKE_RATIO
+from greybox.data.sensor_faults import is_first_off
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, RobustLoss
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
@@ -307,14 +307,7 @@ def without_first_outlier(record: Record) -> Record:
     y = record.y.copy()
     for column in y.T:
         rows = np.flatnonzero(np.isfinite(column))
-        moves = np.abs(np.diff(column[rows]))
-        usual = moves[moves > 0]
-        # It has one neighbour: it is off where this and the next are close together, and the others hardly ever move so far.
-        if (
-            len(moves) > 1
-            and len(usual)
-            and moves[0] > SPIKE_RATIO * max(moves[1], np.quantile(usual, 1 - REPEAT_SHARE))
-        ):
+        if is_first_off(column[rows]):
             column[rows[0]] = np.nan
     return replace(record, y=y)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from greybox.shell import inputs
 from greybox.shell.progress import show_search_progress
 from greybox.shell.study import (
+    IN_RESULT,
     LAYOUT,
     READING_LIKE,
     SHARING,
@@ -82,12 +83,12 @@ def _next(known: Fit, result: ChangeDetection, study: ChangeStudy) -> NextComman
 
     model = ["--model", study.model] if is_model_path(study.model) else []
     if result.verdict is ChangeVerdict.CANNOT_TELL:
-        return study.then("design", study.source, *model, keeps=())
+        return study.then("design", study.source, *model, holds=IN_RESULT)
     if result.verdict is not ChangeVerdict.CHANGED or study.population or study.chart:
         return ""
     fixed = [f"--fix={name}={e.value:.6g}" for name, e in known.parameters.items() if e.fixed]
     effects = [f"--effect={e.name}" for e in known.model.effects]
-    return study.then("fit", study.model or known.model.name, *study.estimation, *effects, *fixed, keeps=())
+    return study.then("fit", study.model or known.model.name, *study.estimation, *effects, *fixed, holds=IN_RESULT)
 
 
 def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:

@@ -9,7 +9,19 @@ from typing import TYPE_CHECKING, Any
 from greybox.base import DataError, ExitCode, GreyboxError
 from greybox.base.texts import to_word
 from greybox.shell import inputs
-from greybox.shell.study import LAYOUT, READING_LIKE, SHARING, SHOWING, Answer, Command, Idle, Option, Study
+from greybox.shell.study import (
+    IN_RECORD,
+    IN_RESULT,
+    LAYOUT,
+    READING_LIKE,
+    SHARING,
+    SHOWING,
+    Answer,
+    Command,
+    Idle,
+    Option,
+    Study,
+)
 from greybox.shell.study_values import Choice, Count, Names, Numbers, Quantity, Word
 from greybox.shell.terminal import exit_with_error, print_findings, print_note, write_report
 
@@ -88,7 +100,7 @@ def design(study: DesignStudy) -> Answer:
         next=study.then(
             "simulate",
             *(_model_of(study, result), folder / "input.csv", *_set(result), "--output", "planned.csv"),
-            keeps=(),
+            holds=(*IN_RESULT, *IN_RECORD),
         ),
     )
 

@@ -137,6 +137,10 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.SENSOR_DEAD: "{kind} '{subject}' stays at exactly {value:g} from {start:.6g} s to the end ({rows} rows) while the"
     " input keeps moving: if the sensor or the logger failed, " + _LEAVE_EMPTY,
     RecordCode.SENSOR_SPIKES: _spikes,
+    RecordCode.SPIKES_LEFT_OUT: lambda f: (
+        f"{count_noun(f.values['count'], 'reading')} of output {f.subject!r} that jump{'s' * (f.values['count'] == 1)} away and back within"
+        " one row left out, as a robust loss was asked for"
+    ),
     RecordCode.SENSOR_SATURATED: "{kind} '{subject}' reads exactly its {end} value, {value:g}, in {rows} rows and stays there"
     " {stays} times: if the sensor or the converter saturates, "
     + _LEAVE_EMPTY

@@ -149,6 +149,11 @@ GOLDEN = {
         "output 'x' jumps away and back within one row, 3 times (at 0.4 s, 1.41 s and 1 more): if this is a fault of the sensor"
         " and not the motion of the plant, leave these fields empty, or fit with a robust loss (shell: --loss huber)",
     ),
+    RecordCode.SPIKES_LEFT_OUT: (
+        "x",
+        {"count": 3},
+        "3 readings of output 'x' that jump away and back within one row left out, as a robust loss was asked for",
+    ),
     RecordCode.SENSOR_SATURATED: (
         "x",
         {"end": "largest", "value": 0.9, "rows": 60, "stays": 4},

@@ -1,0 +1,164 @@
+"""What is proposed next carries every option that was given and that the command understands, and nothing that its arguments hold."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+from greybox.discovery.result import Discovery
+from greybox.estimation import Fit
+from greybox.shell import command_line
+from greybox.shell.commands import COMMANDS
+from greybox.shell.discover import _next
+from greybox.shell.fit import next_command
+from greybox.shell.study import IN_MODEL, IN_RECORD, IN_RESULT, NextCommand, Study
+from greybox.shell.study_values import Switch
+
+# A value of every option that belongs to a study, as it is typed.
+GIVEN = {
+    "columns": "w=speed",
+    "headers": "time,u,w",
+    "sampling_time": "0.001",
+    "read_limit": "2",
+    "first_time": "1.5",
+    "last_time": "3",
+    "hold": "first",
+    "interpolation": "u=zero",
+    "before": "u=2",
+    "fixed": "R=1.5",
+    "start": "J=0.0001",
+    "free": "Kt",
+    "conditions": "load=1,2",
+    "noise": "w=0.1",
+    "effects": "coulomb_friction",
+    "ties": "B=2*J",
+    "method": "rk4",
+    "substeps": "3",
+    "priors": "J=1+-0.1",
+    "per_experiment": "B",
+    "schedules": "B=load@1",
+    "process_noise": "w",
+    "quiet": "still.csv",
+    "validation": "other.csv",
+    "skip": "4",
+    "beginning": "7",
+    "loss": "huber:2",
+    "transcription": "single",
+    "arc_length": "0.5",
+    "starts": "5",
+    "seed": "3",
+    "predict": "4",
+    "profiles": "J",
+    "bootstrap": "100",
+    "time_limit": "60",
+    "candidates": "play",
+    "without": "play",
+    "without_family": "play",
+    "has": "gear",
+    "lacks": "fluid",
+    "test": "third.csv",
+    "outputs": "w",
+    "criterion": "D",
+}
+
+
+def parse(name: str, words: list[str]) -> Study:
+    """The study that a command line states."""
+    command = command_line.make_command(name, COMMANDS[name], COMMANDS)
+    with command.make_context(name, words) as context:
+        return command_line._read_study(context, name, COMMANDS[name], COMMANDS)
+
+
+def give_all(name: str, *arguments: str) -> Study:
+    """A study with a value for every option of a command that is part of a study."""
+    words = list(arguments)
+    for option in list_options(name).values():
+        words.append(option.flags[0])
+        if not isinstance(option.kind, Switch):
+            words.append(GIVEN[option.name])
+    return parse(name, words)
+
+
+def list_options(command: str) -> dict[str, Any]:
+    return {n: o for n, o in COMMANDS[command].table.items() if o.flags and o.place}
+
+
+def check_carried(study: Study, following: NextCommand, *held: Any) -> None:
+    """What ``following`` is typed as says the same of every option that both understand."""
+    words = shlex.split(following.spell(COMMANDS))
+    assert words[:2] == ["greybox", following.command]
+    again, known = parse(following.command, words[2:]), list_options(following.command)
+    both = set(list_options(study.command)) & set(known)
+    carried = both - {option.name for option in held}
+    assert carried, "nothing is left to carry"
+    assert {n: again.values[n] for n in carried} == {n: study.values[n] for n in carried}
+    assert not {n for n in both - carried if n in again.values}, "said twice: by the file and by the option"
+
+
+def make_fit(**others: Any) -> Fit:
+    values = {
+        "success": True,
+        "explains_records": False,
+        "parameters": {},
+        "model": SimpleNamespace(has_equations=True),
+    }
+    return cast("Fit", SimpleNamespace(**values | others))
+
+
+def make_discovery(*effects: str) -> Discovery:
+    return cast("Discovery", SimpleNamespace(effects=effects))
+
+
+FILES = ("rig.py", "a.csv")
+
+
+def test_discover_after_a_fit() -> None:
+    study = give_all("fit", *FILES)
+    following = next_command(study, make_fit(), Path("fit.json"))
+    check_carried(study, following)
+    assert {"--hold first", "--effect coulomb_friction"} <= set(re.findall(r"--\S+ \S+", following.spell(COMMANDS)))
+
+
+def test_a_check_or_a_comparison_after_a_fit() -> None:
+    study = give_all("fit", *FILES)
+    check_carried(study, next_command(study, make_fit(success=False), Path("fit.json")))
+    elsewhere = make_fit(explains_records=True, model=SimpleNamespace(has_equations=False))
+    check_carried(study, next_command(study, elsewhere, Path("fit.json")))
+
+
+def test_other_starts_after_a_fit_at_a_bound() -> None:
+    study = parse("fit", [*FILES, "--loss", "huber"])
+    bounded = make_fit(parameters={"J": SimpleNamespace(at_bound=True)})
+    assert next_command(study, bounded, Path("f")).spell(COMMANDS) == "greybox fit rig.py a.csv --loss huber --starts 8"
+
+
+def test_an_export_after_a_fit_says_nothing_that_its_file_holds() -> None:
+    following = next_command(give_all("fit", *FILES), make_fit(explains_records=True), Path("fit.json"))
+    assert following.spell(COMMANDS) == "greybox export fit.json --to control --model rig.py"
+
+
+def test_a_fit_after_a_check() -> None:
+    study = give_all("check", *FILES)
+    check_carried(study, study.then("fit", study.model, *study.estimation))
+
+
+def test_a_fit_or_a_design_after_a_discovery() -> None:
+    study = give_all("discover", *FILES)
+    check_carried(study, _next(study, make_discovery("play"), Path("model.py")), *IN_MODEL)
+    check_carried(study, _next(study, make_discovery(), Path("model.py")), *IN_RESULT)
+
+
+def test_a_fit_after_a_simulation_moves_its_inputs_alike() -> None:
+    study = parse(
+        "simulate", ["rig.py", "a.csv", "--hold", "first", "--fix", "R=1", "--column", "u=U", "--noise", "w=1"]
+    )
+    words = study.then("fit", study.model, "b.csv", holds=IN_RECORD).spell(COMMANDS)
+    assert words == "greybox fit rig.py b.csv --fix R=1.0 --hold first"
+
+
+def test_every_option_of_a_fit_is_in_a_discovery_or_is_none_of_a_search() -> None:
+    none_of_a_search = {"bootstrap", "per_experiment", "predict", "process_noise", "profiles", "seed", "starts"}
+    assert set(list_options("fit")) - set(list_options("discover")) == none_of_a_search
