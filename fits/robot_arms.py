@@ -41,14 +41,21 @@ DOUBLE_PENDULUM = """<robot name="double_pendulum"><link name="base"/>
 </robot>"""
 STEP, EVERY, SECONDS = 2.5e-4, 4, 20.0
 KINDS = ("viscous_friction", "coulomb_friction", "torque_offset")
+# What few joints have: a rise of dry friction near rest, friction that grows with the load, a torque that reads wrong.
+RARE = ("stribeck_friction", "load_dependent_friction", "drive_gain")
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """What hides in a run: constants (3, n) in the order of `KINDS`, and ten constants of a payload on the last link."""
+    """What hides in a run: constants (3, n) in the order of `KINDS`, ten constants of a payload on the last link, and rare effects (3, n).
+
+    The rare ones stand in the order of `RARE`; ``width`` (n,) in rad/s is the speed up to which dry friction is raised.
+    """
 
     constants: np.ndarray
     payload: np.ndarray
+    rare: np.ndarray
+    width: np.ndarray
 
 
 def read_arm(name: str, folder: Path) -> Robot:
@@ -62,8 +69,8 @@ def read_arm(name: str, folder: Path) -> Robot:
     return arm.lock(HELD[name]) if name in HELD else arm
 
 
-def draw_hidden(arm: Robot, generator: np.random.Generator) -> Hidden:
-    """Sizes in proportion to what each drive can give."""
+def draw_hidden(arm: Robot, generator: np.random.Generator, *, rare: bool = False) -> Hidden:
+    """Sizes in proportion to what each drive can give; with ``rare`` effects every joint is dry, and half of them have one."""
     n = len(arm.axes)
     efforts = np.array([j.effort if np.isfinite(j.effort) else 60.0 for j in arm.axes])
     sizes = np.clip(efforts / 87, 0.1, 1.5)
@@ -75,7 +82,17 @@ def draw_hidden(arm: Robot, generator: np.random.Generator) -> Hidden:
     P[:3, :3] = mass * np.outer(centre, centre) + np.eye(3) * mass * radius**2 / 5
     P[3, :3] = P[:3, 3] = mass * centre
     P[3, 3] = mass
-    return Hidden(sizes * np.array([viscous, dry, offset]), from_pseudo_inertia(P))
+    unusual = np.zeros((3, n))
+    if rare:
+        dry = generator.uniform(2, 6, n)
+        which = generator.choice(3, n, p=[0.25, 0.25, 0.5])
+        unusual[0] = sizes * generator.uniform(1, 3, n) * (which == 0)
+        unusual[1] = generator.uniform(0.04, 0.12, n) * (which == 1)
+        # One joint of an arm reads wrong in half of the runs.
+        joint, error = generator.integers(n), generator.uniform(0.05, 0.15) * generator.choice([-1, 1])
+        unusual[2, joint] = error * (generator.random() < 0.5)
+    width = generator.uniform(0.05, 0.35, n)
+    return Hidden(sizes * np.array([viscous, dry, offset]), from_pseudo_inertia(P), unusual, width)
 
 
 def with_payload(arm: Robot, payload: np.ndarray) -> Robot:
@@ -84,7 +101,7 @@ def with_payload(arm: Robot, payload: np.ndarray) -> Robot:
 
 
 def write_mjcf(arm: Robot, hidden: Hidden) -> str:
-    """The arm with what hides in it for MuJoCo; its dry friction is stiff, so that it hardly creeps."""
+    """The arm with what hides in it for MuJoCo; its dry friction creeps below 0.01 rad/s."""
 
     def numbers(values: np.ndarray) -> str:
         return " ".join(f"{v:.17g}" for v in np.ravel(values))
@@ -101,7 +118,7 @@ def write_mjcf(arm: Robot, hidden: Hidden) -> str:
             f'<body pos="{numbers(joint.origin)}" quat="{numbers(quaternion)}"><inertial pos="{numbers(centre)}"'
             f' mass="{joint.inertial[0]:.17g}" fullinertia="{numbers(np.array([xx, yy, zz, xy, xz, yz]))}"/>'
             f'<joint axis="{numbers(joint.axis)}" damping="{viscous:.17g}" frictionloss="{dry:.17g}"'
-            f' solreffriction="0.004 1" solimpfriction="0.99 0.999 0.001"/>{inner}</body>'
+            f' solreffriction="0.0006 1" solimpfriction="0.99 0.999 0.001"/>{inner}</body>'
         )
 
     bodies = "".join(body(k) for k, joint in enumerate(arm.joints) if joint.parent < 0)
@@ -137,7 +154,12 @@ def run_arm(arm: Robot, hidden: Hidden, generator: np.random.Generator) -> gb.Ex
         if k % EVERY == 0:
             positions[k // EVERY], torques[k // EVERY] = data.qpos, torque
         # What reads the torque is off: the arm gets less than it says.
-        data.qfrc_applied[:] = torque - hidden.constants[2]
+        given = torque / (1 + hidden.rare[2]) - hidden.constants[2]
+        data.qfrc_applied[:] = given
+        # Dry friction is Fc + Fs exp(-(v / vs)^2) + mu |load|, the load what the drive gave last less friction.
+        load = np.abs(given + data.qfrc_constraint + data.qfrc_passive)
+        raised = hidden.rare[0] * np.exp(-((data.qvel / hidden.width) ** 2))
+        model.dof_frictionloss[:] = hidden.constants[1] + raised + hidden.rare[1] * load
         mujoco.mj_step(model, data)
     return make_log(positions, torques, generator)
 

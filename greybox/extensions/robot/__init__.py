@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from greybox.extensions.robot.description_files import read_robot
     from greybox.extensions.robot.design import MotionDesign, design_motion
     from greybox.extensions.robot.identify import identify_robot
+    from greybox.extensions.robot.logs import read_joint_logs
     from greybox.extensions.robot.model import robot_model
     from greybox.extensions.robot.plant import RobotPlant, robot
     from greybox.extensions.robot.result import RobotIdentification

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 from greybox.shell import inputs
 from greybox.shell.study import LAYOUT, SHOWING, Answer, Command, Option, Study
-from greybox.shell.study_values import Quantity, Switch
+from greybox.shell.study_values import Numbers, Quantity, Switch
 from greybox.shell.terminal import write_report
 
 
@@ -26,6 +27,18 @@ class RobotStudy(Study):
         "design",
         "Also design the motion to record next, a Fourier series inside the limits of ROBOT.",
     )
+    torque_constants = Option(
+        Numbers("JOINT=VALUE", "elbow=2.5"),
+        "--torque-constant JOINT=VALUE",
+        "torque_constants",
+        "What one ampere gives at a joint, gear included, in N m/A or N/A. [default: fitted]",
+    )
+    payloads = Option(
+        Numbers("RECORD=KG", "loaded.csv=2.5"),
+        "--payload RECORD=KG",
+        "payloads",
+        "Mass in kg that is fixed to the last link in this record alone: it tells the level of currents.",
+    )
     physical = Option(Switch(), "--physical", "physical", "Also look for constants of each link that a body can have.")
 
 
@@ -34,7 +47,8 @@ def robot(study: RobotStudy) -> Answer:
 
     The base parameters are fitted to the torques by weighed least squares with intervals that hold for coloured noise; each joint is
     searched for viscous, dry, Stribeck and load-dependent friction, an offset, the motor's inertia, a wrong gain and a delay, and the last
-    link for a payload. Columns are q1, tau1, q2, tau2 ... in the order of the axes, and dq1 ... where velocities were measured.
+    link for a payload. Columns are q1, tau1, q2, tau2 ... in the order of the axes, i1 ... for currents in place of torques, and dq1 ...
+    where velocities were measured; or they are called by the names of joints, shoulder.position, effort_shoulder ...
     Writes DIR/robot.json, DIR/report.html, a page for the browser, and two models that other commands take: DIR/motion.py runs, is
     linearised and exported; the export of DIR/torques.py is a controller's feed-forward. --design writes DIR/next_motion.csv, the motion
     that makes the intervals of the base parameters narrowest beside RECORDS, and says by how much.
@@ -46,18 +60,26 @@ def robot(study: RobotStudy) -> Answer:
     from greybox.extensions.export.python_model import to_python
     from greybox.extensions.robot.design import design_motion
     from greybox.extensions.robot.identify import identify_robot
+    from greybox.extensions.robot.logs import read_joint_logs
     from greybox.extensions.robot.model import robot_model
     from greybox.extensions.robot.plant import robot as read_plant
 
     plant = read_plant(study.source)
     folder = inputs.result_folder(study, plant.name)
-    logs = inputs.read_files(study, study.estimation, plant.log_model, allow_constant_input=True, hold="first")
+    logs = read_joint_logs(plant, study.estimation, **{"split": study.split_holes, **inputs.layout_of(study)})
     # Few robots measure velocities; that an axis has no torque is said of the axis.
     inputs.print_record_notes(
         replace(log, findings=tuple(f for f in log.findings if f.code != RecordCode.OUTPUT_NOT_MEASURED))
         for log in logs
     )
-    identified = identify_robot(plant.robot, logs, prior=study.known_to or math.inf, physical=study.physical)
+    identified = identify_robot(
+        plant.robot,
+        logs,
+        prior=study.known_to or math.inf,
+        physical=study.physical,
+        torque_constants=study.torque_constants,
+        payloads={Path(name).stem: mass for name, mass in study.payloads.items()},
+    )
     saved = identified.save(folder / "robot.json")
     models = [
         to_python(robot_model(plant.robot, identified, inverse=inverse), folder / f"{name}.py")
@@ -96,7 +118,13 @@ ROBOT = Command(
         Study.estimation.but(
             usage="RECORDS", help="Joint logs: CSV, MAT, MCAP and others, headers 'name [unit]'.", required=True
         ),
-        *(RobotStudy.known_to, RobotStudy.physical, RobotStudy.design),
+        *(
+            RobotStudy.torque_constants,
+            RobotStudy.payloads,
+            RobotStudy.known_to,
+            RobotStudy.physical,
+            RobotStudy.design,
+        ),
         *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit),
         *(Study.first_time, Study.last_time, Study.split_holes),
         Study.output.but(help="Folder for the results. [default: results/ROBOT-robot]"),

@@ -23,14 +23,13 @@ NAMED_JOINTS = 3
 
 def describe_robot(identified: RobotIdentification, *, command: str = "") -> doc.Document:
     """What is said of the identification of a robot; ``command`` is what was typed."""
-    tables = [_joint_table(identified)]
     return doc.Document(
         f"{identified.robot}: {count_noun(len(identified.joints), 'joint')}",
         _answer(identified),
         doc.Tone.CAUTION
         if identified.effects or identified.verdict is not RigidVerdict.AS_DESCRIBED
         else doc.Tone.GOOD,
-        tables,
+        [_joint_table(identified), *_constant_tables(identified)],
         worst_first(identified.findings),
         [_base_table(identified), _effect_table(identified)],
         f"What do the joints of {identified.robot} have beside rigid bodies, and which constants does the record carry?",
@@ -92,6 +91,23 @@ def _estimate(base: BaseEstimate) -> str:
     return f"{format_with_std(base.value, base.std)}{' open' if base.is_open else ''}"
 
 
+def _constant_tables(identified: RobotIdentification) -> list[doc.TableBlock]:
+    if not identified.torque_constants:
+        return []
+    first = identified.torque_constants[0].joint
+    rows = [
+        [
+            c.joint,
+            format_with_std(c.value, c.std),
+            format_unit(c.unit),
+            f"{c.ratio:.4g} ({c.ratio_interval[0]:.4g} to {c.ratio_interval[1]:.4g})",
+        ]
+        for c in identified.torque_constants
+    ]
+    note = "What one ampere gives at the joint, gear included. Ratios rest on the currents alone, with their 95 % intervals."
+    return [doc.TableBlock("Torque constants", ["joint", "constant", "unit", f"ratio to {first}"], rows, note)]
+
+
 def _effect_table(identified: RobotIdentification) -> doc.TableBlock:
     rows = [
         [
@@ -118,7 +134,11 @@ def _sections(identified: RobotIdentification, command: str) -> Iterator[doc.Sec
     yield doc.Section(
         "joints",
         "Joint by joint",
-        [_joint_table(identified), *([_effect_table(identified)] if identified.effects else [])],
+        [
+            _joint_table(identified),
+            *([_effect_table(identified)] if identified.effects else []),
+            *_constant_tables(identified),
+        ],
     )
     yield doc.Section(
         "base", "Base parameters", [doc.FigureBlock(plot_base_parameters(identified)), _base_table(identified)]
@@ -183,6 +203,18 @@ DOCUMENTS = {"RobotIdentification": describe_robot}
 WORDS = {kind.name: kind.words for kind in KINDS}
 
 
+@writes(RobotCode.JOINTS_BY_NAME)
+def _by_name(finding: Finding) -> str:
+    v = finding.values
+    joints = join_names(v["joints"]) if len(v["joints"]) <= 6 else f"{v['joints'][0]} to {v['joints'][-1]}"
+    units = f", in {join_names(v['units'])} as their names say" if v["units"] else ""
+    return f"columns are taken by the names of the joints {joints}{units}" + (
+        f"; {v['effort']!r} states no unit and is taken as a torque: where it is a current, --column 'JOINT [A]={v['effort']}' says so"
+        if v["effort"]
+        else ""
+    )
+
+
 @writes(RobotCode.OPEN_CONSTANTS)
 def _open(finding: Finding) -> str:
     v = finding.values
@@ -210,6 +242,19 @@ register(
         RobotCode.SCALED: lambda f: (
             f"the rigid bodies weigh {f.values['factor']:.3g} times what {f.subject} says ({f.values['low']:.3g} to {f.values['high']:.3g})"
             ": the torques read so much too large, by the torque constants, or every mass is"
+        ),
+        RobotCode.NOT_FOLLOWED: lambda f: (
+            f"a quarter of the torque of {join_names(f.values['joints'])} or more is not followed: are its columns those of this joint, in"
+            " these units, and in the order of the axes?"
+        ),
+        RobotCode.GAIN: lambda f: (
+            f"{f.subject}: that its torque reads {f.values['gain']:.3g} times what it is holds beside the other joints; were all of"
+            f" these {1 / f.values['gain']:.3g} times what they are, it would look the same"
+        ),
+        RobotCode.TORQUE_LEVEL: lambda f: (
+            "currents alone tell torque constants, masses and frictions but for one factor that all of them share: it is that at which"
+            f" links weigh what {f.values['source']} says{' beside the payload' * bool(f.values['payload'])}; one known constant"
+            " (--torque-constant JOINT=VALUE) or a record with a known payload (--payload RECORD=KG) closes it"
         ),
         RobotCode.PHYSICAL: lambda f: (
             "links whose mass is nowhere negative follow the torques"

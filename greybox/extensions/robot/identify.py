@@ -1,34 +1,37 @@
 """From joint logs to base parameters with intervals, and to what each joint has beside rigid bodies.
 
-Torques are linear in all that is sought, so one table of sums over blocks of the record answers every question: which constants it
-carries, which effects it shows and whether another one would do as well, whether a payload explains what differs from the description.
+One table of sums over blocks of the record answers every question: which constants it carries, which effects it shows and whether another
+one would do as well, whether a payload explains what differs from the description.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
-from greybox.base import DataError, Finding, Severity
+from greybox.base import DataError, Finding, Severity, nearest
 from greybox.base.json_shape import Interval
 from greybox.data.experiment import Experiment
 from greybox.discovery.decision import Grade
 from greybox.extensions.robot.base_parameters import BaseParameters, find_base_parameters
-from greybox.extensions.robot.description import Robot
+from greybox.extensions.robot.description import Joint, Robot
 from greybox.extensions.robot.joint_effects import (
     COLUMNS,
     COULOMB,
+    GAIN,
     INERTIA,
+    LAG,
     OFFSET,
+    STRIBECK,
     VISCOUS,
-    JointEffectKind,
-    effect_columns,
+    WIDTH,
 )
-from greybox.extensions.robot.motion import Motion, reconstruct_motion
+from greybox.extensions.robot.motion import reconstruct_motion
 from greybox.extensions.robot.physical import find_physical_constants
 from greybox.extensions.robot.regression import BlockProducts, BlockSolution, promise
 from greybox.extensions.robot.result import (
@@ -39,17 +42,25 @@ from greybox.extensions.robot.result import (
     RigidVerdict,
     RobotCode,
     RobotIdentification,
+    TorqueConstant,
 )
-from greybox.extensions.robot.rigid_body import evaluate_rows
+from greybox.extensions.robot.table import (
+    LEAST_BLOCK_ROWS,
+    LEAST_BLOCKS,
+    LEAST_MOVING_ROWS,
+    JointLog,
+    JointTable,
+    WorkingPoint,
+    fill_table,
+    kind_of,
+    make_log,
+    place_column,
+    solve,
+    widen,
+)
 
-# Blocks of the records, all together: an error known from sixteen is good to a sixth, which the quantile of its interval allows for, and a
-# block is longer than most noise remembers.
-BLOCKS = 16
-LEAST_BLOCK_ROWS = 40
 # A block is so many times longer than the lag at which a residual has this correlation with itself, unless fewer blocks would be left.
-BLOCK_MEMORIES, FORGOTTEN, LEAST_BLOCKS = 5.0, 0.1, 8
-# Rows in which a joint moves: with fewer its torque is not regressed.
-LEAST_MOVING_ROWS = 200
+BLOCK_MEMORIES, FORGOTTEN = 5.0, 0.1
 # Standard errors from which an effect is in the answer: of the thirty that an arm may have, one is by chance in one record of two hundred.
 NAMED_DEVIATIONS = 5.0
 # ... from which one is tried: what it would explain is still in the scatter of the blocks.
@@ -70,72 +81,24 @@ SCALED_DEVIATIONS = 3.0
 USUAL = (VISCOUS, COULOMB, OFFSET)
 # A constant is open where half its interval is wider than this share of the largest one of its kind on the link.
 OPEN_SHARE = 0.5
+# Share of the rms of a torque that is left, from which it cannot be that of its joint.
+STRANGE_SHARE = 0.25
 # Rows on which the noise of the sensors is added again.
 SHAKEN_ROWS = 5000
-
-
-@dataclass(frozen=True, eq=False)
-class _Log:
-    """The rows of all records: motion, base regressors (N, n, B), where each torque counts (N, n), and where blocks begin (K,)."""
-
-    motions: Sequence[Motion]
-    regressors: np.ndarray
-    counts: np.ndarray
-    starts: np.ndarray
-
-    def differentiate(self, values: np.ndarray) -> np.ndarray:
-        """Slopes (N, n) over time of values (N, n), record by record."""
-        ends = np.cumsum([len(m.time) for m in self.motions])[:-1]
-        parts = np.split(values, ends)
-        return np.concatenate([np.gradient(v, m.step, axis=0) for v, m in zip(parts, self.motions, strict=True)])
-
-    def stack(self, name: str) -> np.ndarray:
-        """One array of all motions (N, n)."""
-        return np.concatenate([getattr(m, name) for m in self.motions])
-
-
-@dataclass(frozen=True, eq=False)
-class _Table:
-    """Sums of each joint alone, unweighted (n, K, B + C + 1, ...), with their rows (n, K); C columns of effects.
-
-    ``prior`` (B + 1, B + 1): what is known of the base parameters before.
-    """
-
-    joints: np.ndarray
-    rows: np.ndarray
-    prior: np.ndarray
-
-    @property
-    def base(self) -> int:
-        """Number of base parameters B."""
-        return len(self.prior) - 1
-
-    def weigh(self, variances: np.ndarray) -> BlockProducts:
-        """All joints together: base parameters first, then the effects of each joint."""
-        n, K, size = self.joints.shape[:3]
-        C = size - 1 - self.base
-        P = self.base + n * C
-        products = np.zeros((K, P + 1, P + 1))
-        for i, each in enumerate(self.joints):
-            place = [*range(self.base), *(self.base + i * C + np.arange(C)), P]
-            products[np.ix_(range(K), place, place)] += each / variances[i]
-        known = np.ix_(range(K), [*range(self.base), P], [*range(self.base), P])
-        products[known] += self.prior / K
-        return BlockProducts(products, self.rows.sum(axis=0))
-
-    def measure(self, x: np.ndarray) -> np.ndarray:
-        """Mean square (n,) that constants x (P,) leave of each joint's torque; NaN without rows."""
-        C = self.joints.shape[2] - 1 - self.base
-        squares = []
-        for i, each in enumerate(self.joints.sum(axis=1)):
-            local = np.concatenate([x[: self.base], x[self.base + i * C : self.base + (i + 1) * C], [-1.0]])
-            squares.append(local @ each @ local)
-        count = self.rows.sum(axis=1)
-        return np.where(count > 0, np.maximum(squares, 0) / np.maximum(count, 1), np.nan)
+# Linearisations after which the width of a Stribeck effect and the gains of readings stand still.
+SETTLING = 4
+# Standard deviation of a payload that is known, as a share of its mass.
+WEIGHED_SHARE = 1e-6
 
 
 def identify_robot(
-    robot: Robot, records: Experiment | Sequence[Experiment], *, prior: float = math.inf, physical: bool = False
+    robot: Robot,
+    records: Experiment | Sequence[Experiment],
+    *,
+    prior: float = math.inf,
+    physical: bool = False,
+    torque_constants: Mapping[str, float] = MappingProxyType({}),
+    payloads: Mapping[str, float] = MappingProxyType({}),
 ) -> RobotIdentification:
     """Fit the base parameters of a robot to joint logs, and look for what its joints have beside rigid bodies.
 
@@ -144,13 +107,17 @@ def identify_robot(
     robot
         The robot as described; axes of which the logs have no position are held still at zero.
     records
-        Logs with columns ``q1`` ... in rad or m and ``tau1`` ... in N m or N, as they count the axes; ``dq1`` ... in rad/s or m/s are used
-        where they are less noisy than the differentiated positions.
+        Logs with columns ``q1`` ... in rad or m and ``tau1`` ... in N m or N, or ``i1`` ... in A, as they count the axes; ``dq1`` ... in
+        rad/s or m/s are used where they are less noisy than the differentiated positions.
     prior
         How well the description is known: the standard deviation of each of its constants, as a share of what is usual for a link of
         its mass and size. Infinite: not at all.
     physical
         Whether constants of each link that a body can have are looked for; a finding says what they cost.
+    torque_constants
+        Joint -> what one ampere gives at it, gear included, in N m/A or N/A. Those of the other joints with a current are fitted.
+    payloads
+        Name of a record -> mass in kg that is fixed to the last link in it, and in no other record.
 
     Returns
     -------
@@ -160,64 +127,158 @@ def identify_robot(
     Raises
     ------
     DataError
-        Where no axis has both position and torque, or too few rows move.
+        Where no axis has both position and torque, or too few rows move; for names that are no joint or record; and where nothing tells
+        the level of the torques.
     """
     logs = [records] if isinstance(records, Experiment) else list(records)
     robot, axes, findings = _match_axes(robot, logs)
-    base = find_base_parameters(robot)
-    log = _read_logs(base, logs, axes)
-    if not log.counts.any() or len(log.starts) < LEAST_BLOCKS:
+    base, count = find_base_parameters(robot), sum(log.rows for log in logs)
+    names = [log.name for log in logs]
+    for name in payloads:
+        if name not in names:
+            raise DataError(f"there is no record {name!r} to carry a payload; {nearest(name, names)}")
+
+    def read(shake: float = 0.0, every: int = 1) -> JointLog:
+        motions = [reconstruct_motion(log, axes, shake).thin(every) for log in logs]
+        return make_log(base, motions, [name in payloads for name in names], LEAST_MOVING_ROWS / every)
+
+    log = read()
+    if not log.counts.any() or log.blocks < LEAST_BLOCKS:
         raise DataError(
             f"robot {robot.name!r}: no axis moves for {LEAST_MOVING_ROWS} rows while its torque is measured, or fewer than"
             f" {LEAST_BLOCKS * LEAST_BLOCK_ROWS} rows are left between the ends; nothing can be fitted"
         )
-    table = _fill_table(log, _weigh_description(base, prior))
-    for joint, rows in zip(base.robot.axes, table.rows.sum(axis=1), strict=True):
-        if not rows:
+    known = _weigh_description(base, prior, payloads)
+    scale, free = _read_constants(robot, logs, axes, torque_constants)
+    gauge = np.zeros_like(known)
+    if free and not known.any() and set(free) >= set(np.flatnonzero(log.counts.any(axis=0))):
+        gauge = _set_level(base, log)
+    scale[free] = _guess_constants(log, known + gauge, scale, free)
+    log = replace(log, tau=scale * log.tau)
+    for k, joint in enumerate(base.robot.axes):
+        if not log.counts[:, k].any():
             findings.append(Finding(RobotCode.AXIS_WITHOUT_ROWS, Severity.WARNING, joint.name))
-    chosen, sums = _select(table)
-    torques = _follow_torques(log, len(base.names), chosen, sums)
+    point, table, chosen = _search(log, known, gauge, free)
+    sums = table.weigh_by_residual(chosen)
+    torques = _follow_torques(log, point.move(solve(sums, chosen), _fastest(log)), free)
     sums = _join_blocks(sums, log, torques, findings)
-    every, estimates = max(1, len(log.counts) // SHAKEN_ROWS), []
+    every, estimates = max(1, count // SHAKEN_ROWS), []
     # As much noise again shifts the estimates by as much again (Cook, Stefanski, J. American Statistical Association 89, 1994); once with
     # either sign, so that what is linear in the noise cancels.
     for shake in (0.0, 1.0, -1.0):
-        shaken = _fill_table(_read_logs(base, logs, axes, shake, every), table.prior / every)
-        estimates.append(_weigh_by_residual(shaken, chosen).take(chosen).fit().x)
+        again = read(shake, every)
+        shaken = fill_table(replace(again, tau=scale * again.tau), known / every, gauge / every, point)
+        estimates.append(solve(shaken.weigh_by_residual(chosen), chosen)[chosen])
     bias = (estimates[1] + estimates[2]) / 2 - estimates[0]
     if physical:
         findings.append(_find_physical(base, sums, chosen, bias))
-    answer = _Answer(base, table, sums, chosen, sums.take(chosen).fit(), bias)
-    verdict, payload, further, inertias = answer.compare_with_description()
+    answer = _Answer(base, table, sums, chosen, sums.take(chosen).fit(), bias, point, free)
+    verdict, payload, further, inertias, level = answer.compare_with_description()
+    answer = replace(answer, level=level)
     constants, effects = answer.list_constants(), [*answer.list_effects(), *inertias]
     further += [
         Finding(RobotCode.RIVAL, subject=e.joint, values={"kind": e.kind, "rival": e.rival}) for e in effects if e.rival
     ]
+    further += [
+        Finding(RobotCode.GAIN, subject=e.joint, values={"gain": 1 + e.value}) for e in effects if e.kind == GAIN.name
+    ]
+    joints = answer.measure_joints()
+    if strange := [j.joint for j in joints if j.final > STRANGE_SHARE * j.torque]:
+        further.append(Finding(RobotCode.NOT_FOLLOWED, Severity.WARNING, values={"joints": strange}))
     if motion := _say_motion(constants):
         values = {"names": [e.name for e in constants if e.is_open], "motion": motion}
         further.append(Finding(RobotCode.OPEN_CONSTANTS, Severity.WARNING, values=values))
-    names = [j.name for j in robot.axes]
+    order = [j.name for j in robot.axes]
     return RobotIdentification(
-        *(robot.name, robot.source, tuple(each.name for each in logs), len(log.counts), len(sums.rows), constants),
-        tuple(sorted(effects, key=lambda e: names.index(e.joint))),
-        *(answer.measure_joints(), verdict, payload, (*findings, *further)),
-        *(np.concatenate([m.time for m in log.motions]), torques),
+        *(robot.name, robot.source, tuple(names), len(log.counts), len(sums.rows), constants),
+        tuple(sorted(effects, key=lambda e: order.index(e.joint))),
+        *(joints, answer.list_torque_constants(scale), verdict, payload, (*findings, *further)),
+        *(np.concatenate([m.time for m in log.motions]), level * torques),
     )
 
 
-def _weigh_description(base: BaseParameters, prior: float) -> np.ndarray:
-    """What a prior adds to the sums of products of the base parameters and the torque (B + 1, B + 1)."""
+def _weigh_description(base: BaseParameters, prior: float, payloads: Mapping[str, float]) -> np.ndarray:
+    """What is known before, as sums of products of the base parameters, a payload's constants if there is one, and the torque."""
     B, sizes = len(base.names), []
-    if not np.isfinite(prior):
-        return np.zeros((B + 1, B + 1))
-    for inertial in base.robot.inertial.reshape(-1, 10):
-        # A link of mass m with radius of gyration r: kg, kg m, kg m^2.
-        mass, radius = inertial[0], math.sqrt(max(inertial[[4, 6, 9]].sum(), 0.0) / max(inertial[0], 1e-9))
-        sizes += [mass, *[mass * radius] * 3, *[mass * radius**2] * 6]
-    covariance = base.mixing * (prior * np.array(sizes)) ** 2 @ base.mixing.T
-    precision = np.linalg.pinv(covariance, hermitian=True)
-    columns = np.column_stack([np.eye(B), base.values])
-    return np.asarray(columns.T @ precision @ columns)
+    known = np.zeros((B + 1, B + 1))
+    if np.isfinite(prior):
+        for inertial in base.robot.inertial.reshape(-1, 10):
+            # A link of mass m with radius of gyration r: kg, kg m, kg m^2.
+            mass, radius = inertial[0], math.sqrt(max(inertial[[4, 6, 9]].sum(), 0.0) / max(inertial[0], 1e-9))
+            sizes += [mass, *[mass * radius] * 3, *[mass * radius**2] * 6]
+        covariance = base.mixing * (prior * np.array(sizes)) ** 2 @ base.mixing.T
+        precision = np.linalg.pinv(covariance, hermitian=True)
+        columns = np.column_stack([np.eye(B), base.values])
+        known = columns.T @ precision @ columns
+    if payloads:
+        known = np.insert(np.insert(known, [B] * 10, 0.0, axis=0), [B] * 10, 0.0, axis=1)
+        (mass,) = set(payloads.values())
+        row = np.array([1.0, mass]) / (WEIGHED_SHARE * mass)
+        known[np.ix_([B, -1], [B, -1])] += np.outer(row, row)
+    return np.asarray(known)
+
+
+def _check_reach(log: Experiment, joint: Joint, number: int) -> None:
+    """Raise DataError for positions that are far beyond the limits of a joint: degrees, or another joint."""
+    q, reach = {**log.inputs, **log.outputs}[f"q{number}"], joint.upper - joint.lower
+    low, high = float(np.nanmin(q)), float(np.nanmax(q))
+    if np.isfinite(reach) and (low < joint.lower - reach or high > joint.upper + reach):
+        unit = joint.units[0]
+        raise DataError(
+            f"record {log.name!r}: q{number} goes from {low:.4g} to {high:.4g} {unit}, and {joint.name} of the robot from"
+            f" {joint.lower:.4g} to {joint.upper:.4g} {unit}; name its column, or state its unit: --column 'q{number} [deg]=HEADER'"
+        )
+
+
+def _read_constants(
+    robot: Robot, logs: Sequence[Experiment], axes: Sequence[int], constants: Mapping[str, float]
+) -> tuple[np.ndarray, list[int]]:
+    """What each reading is multiplied by (n,) to be a torque, and the axes with a current of which that is not known."""
+    columns = [set(log.inputs) | set(log.outputs) for log in logs]
+    currents = [k for k, number in enumerate(axes) if not any(f"tau{number}" in names for names in columns)
+                and any(f"i{number}" in names for names in columns)]  # fmt: skip
+    names = [robot.axes[k].name for k in currents]
+    for name in constants:
+        if name not in names:
+            raise DataError(
+                f"robot {robot.name!r}: joint {name!r} has a torque constant and no current; {nearest(name, names)}"
+            )
+    scale = np.array([constants.get(joint.name, 1.0) for joint in robot.axes])
+    return scale, [k for k, name in zip(currents, names, strict=True) if name not in constants]
+
+
+def _set_level(base: BaseParameters, log: JointLog) -> np.ndarray:
+    """What sets the level of torques of which all constants are free: on the whole, links are as heavy as described."""
+    B, size = len(base.names), log.squares.shape[2]
+    squares = log.squares[:, :, :B, :B].sum(axis=(0, 1))
+    weight = base.values @ squares @ base.values
+    if not weight:
+        raise DataError(f"robot {base.robot.name!r}: its description has no masses, and all torque constants are free: nothing tells the"
+                        " level of the torques; give one of them (--torque-constant JOINT=VALUE)")  # fmt: skip
+    # The factor of the description that follows the torques best, u' beta = 1.
+    row = np.zeros(size)
+    row[:B], row[-1] = squares @ base.values / weight, 1.0
+    return np.asarray(weight * np.outer(row, row))
+
+
+def _guess_constants(log: JointLog, known: np.ndarray, scale: np.ndarray, free: Sequence[int]) -> np.ndarray:
+    """Torque constants to begin from: least squares of ``0 = Y beta + effects - K i``, which noise of the currents makes too small."""
+    n, B = log.tau.shape[1], len(known) - 1
+    table = fill_table(replace(log, tau=scale * log.tau), known, np.zeros_like(known), WorkingPoint.start(B, n))
+    joints, gain = table.joints.copy(), B + COLUMNS.index(GAIN)
+    for i in free:
+        joints[i][:, gain], joints[i][:, :, gain] = -joints[i][:, -1], -joints[i][:, :, -1]
+        joints[i][:, gain, gain] = table.joints[i][:, -1, -1]
+        joints[i][:, -1], joints[i][:, :, -1] = 0.0, 0.0
+    chosen = [*range(B), *_usual(B, range(n)), *(place_column(B, i, COLUMNS.index(GAIN)) for i in free)]
+    x = solve(replace(table, joints=joints).weigh(np.ones(n)), chosen)
+    # A reading without any torque behind it is left as it is.
+    guessed = x[[place_column(B, i, COLUMNS.index(GAIN)) for i in free]]
+    return np.where(guessed != 0, guessed, 1.0)
+
+
+def _usual(base: int, joints: Iterable[int]) -> list[int]:
+    return [place_column(base, i, k) for i in joints for k in range(len(USUAL))]
 
 
 def _find_physical(base: BaseParameters, sums: BlockProducts, chosen: Sequence[int], bias: np.ndarray) -> Finding:
@@ -237,144 +298,121 @@ def _match_axes(robot: Robot, logs: Sequence[Experiment]) -> tuple[Robot, list[i
     names = [set(log.inputs) | set(log.outputs) for log in logs]
     present = set.intersection(*names)
     axes = [k + 1 for k in range(len(robot.axes)) if f"q{k + 1}" in present]
-    if not any(f"tau{k}" in columns for k in axes for columns in names):
+    if not any(f"{reading}{k}" in columns for k in axes for columns in names for reading in ("tau", "i")):
         raise DataError(
             f"robot {robot.name!r} has {len(robot.axes)} axes, and the logs have no axis with both position and torque: columns q1, tau1,"
-            " q2, tau2 ... are needed, or --column q1=HEADER"
+            " q2, tau2 ... are needed (currents: i1, i2 ...), or the names of the joints, or --column q1=HEADER"
         )
+    for log, k in ((log, k) for log in logs for k in axes):
+        _check_reach(log, robot.axes[k - 1], k)
     held = {j.name: 0.0 for k, j in enumerate(robot.axes) if k + 1 not in axes}
     findings = [Finding(RobotCode.AXIS_HELD, subject=name) for name in held]
     return (robot.lock(held) if held else robot), axes, findings
 
 
-def _read_logs(
-    base: BaseParameters, logs: Sequence[Experiment], axes: Sequence[int], shake: float = 0.0, every: int = 1
-) -> _Log:
-    motions = [reconstruct_motion(log, axes, shake).thin(every) for log in logs]
-    regressors = np.concatenate([evaluate_rows(base.regressor, m.q, m.dq, m.ddq) for m in motions])
-    counts = np.concatenate([m.is_moving & np.isfinite(m.tau) for m in motions])
-    # A joint with hardly a row that counts has none.
-    counts &= counts.sum(axis=0) >= LEAST_MOVING_ROWS / every
-    total, starts, first = len(counts), [], 0
-    for motion in motions:
-        rows = len(motion.time)
-        pieces = max(1, min(round(BLOCKS * rows / total), rows // LEAST_BLOCK_ROWS))
-        starts += [first + rows * k // pieces for k in range(pieces)]
-        first += rows
-    return _Log(motions, regressors, counts, np.array(starts))
+def _search(
+    log: JointLog, known: np.ndarray, gauge: np.ndarray, free: Sequence[int]
+) -> tuple[WorkingPoint, JointTable, list[int]]:
+    """Columns of the answer, and the table linearised about it."""
+    base, n, fastest = len(known) - 1, log.tau.shape[1], _fastest(log)
+    joints = np.flatnonzero(log.counts.any(axis=0)).tolist()
+    fixed = [place_column(base, i, COLUMNS.index(GAIN)) for i in free if i in joints]
+    chosen = sorted([*range(base), *_usual(base, joints), *fixed])
 
+    def settle(point: WorkingPoint, times: int) -> tuple[WorkingPoint, JointTable]:
+        table = fill_table(log, known, gauge, point)
+        for _ in range(times):
+            point = point.move(solve(table.weigh_by_residual(chosen), chosen), fastest)
+            table = fill_table(log, known, gauge, point)
+        return point, table
 
-def _fill_table(log: _Log, prior: np.ndarray) -> _Table:
-    """The sums over blocks with all columns; those that rest on the load of a joint know it from a first fit."""
-    dq, ddq, tau = log.stack("dq"), log.stack("ddq"), np.nan_to_num(log.stack("tau"))
-    n, rigid, rate = dq.shape[1], np.zeros_like(tau), np.zeros_like(tau)
     # First with the usual effects alone, which need no load.
-    for columns in (slice(0, len(USUAL)), slice(None)):
-        tables, rows = [], []
-        for i in range(n):
-            effects = effect_columns(dq[:, i], ddq[:, i], rigid[:, i], rate[:, i])[:, columns]
-            Z = np.column_stack([log.regressors[:, i], effects, tau[:, i]]) * log.counts[:, i, None]
-            ends = [*log.starts[1:], len(Z)]
-            tables.append([Z[a:b].T @ Z[a:b] for a, b in zip(log.starts, ends, strict=True)])
-            rows.append(np.add.reduceat(log.counts[:, i].astype(float), log.starts))
-        table = _Table(np.array(tables), np.array(rows), prior)
-        if columns.stop:
-            fit = _weigh_by_residual(table).fit()
-            rigid = log.regressors @ fit.x[: table.base]
-            rate = log.differentiate(rigid)
-    return table
-
-
-def _weigh_by_residual(table: _Table, columns: Sequence[int] | None = None) -> BlockProducts:
-    """All joints together, each weighed by what is left of it when ``columns`` are fitted."""
-    totals = table.joints[:, :, -1, -1].sum(axis=1)
-    variances = np.where(totals > 0, totals / np.maximum(table.rows.sum(axis=1), 1), 1.0)
-    for _ in range(3):
-        sums = table.weigh(variances)
-        kept = np.arange(sums.size) if columns is None else np.array(columns)
-        x = np.zeros(sums.size)
-        x[kept] = sums.take(kept).fit().x
-        left = table.measure(x)
-        variances = np.where(np.isfinite(left) & (left > 0), left, variances)
-    return table.weigh(variances)
-
-
-def _column(base: int, joint: int, column: int) -> int:
-    return base + joint * len(COLUMNS) + column
-
-
-def _kind_of(base: int, column: int) -> tuple[int, JointEffectKind]:
-    joint, place = divmod(column - base, len(COLUMNS))
-    return joint, COLUMNS[place]
-
-
-def _select(table: _Table) -> tuple[list[int], BlockProducts]:
-    """Columns of the answer, and the sums weighed by what it leaves."""
-    base, n = table.base, len(table.joints)
-    joints = [i for i in range(n) if table.rows[i].sum()]
-    chosen = [*range(base), *(_column(base, i, k) for i in joints for k in range(len(USUAL)))]
-    sums = _weigh_by_residual(table, chosen)
-    while added := _find_unusual(sums, chosen, base, joints):
-        chosen = sorted({*chosen, *added})
-        sums = _weigh_by_residual(table, chosen)
-    while dropped := _find_idle(sums.take(chosen).fit(), chosen, base):
+    point, table = settle(WorkingPoint.start(base, n), SETTLING if free else 1)
+    while added := _find_unusual(table.weigh_by_residual(chosen), chosen, base, joints, log.motions[0].step):
+        for column, value in added:
+            joint, kind = kind_of(base, column)
+            place = (column - base) % len(COLUMNS)
+            if kind is STRIBECK:
+                point = widen(point, joint, place, value, fastest[joint])
+                chosen.append(place_column(base, joint, COLUMNS.index(WIDTH)))
+                place = COLUMNS.index(STRIBECK)
+            chosen.append(place_column(base, joint, place))
+        chosen.sort()
+        point, table = settle(point, SETTLING)
+    while dropped := _find_idle(table.weigh_by_residual(chosen).take(chosen).fit(), chosen, base, fixed, point):
         chosen = [c for c in chosen if c not in dropped]
-    return chosen, _weigh_by_residual(table, chosen)
+        for joint, kind in (kind_of(base, c) for c in dropped):
+            point.gains[joint] = 1.0 if kind is GAIN else point.gains[joint]
+            point.widths[joint] = np.nan if kind is STRIBECK else point.widths[joint]
+        point, table = settle(point, 1)
+    return point, table, chosen
 
 
-def _find_unusual(sums: BlockProducts, chosen: Sequence[int], base: int, joints: Sequence[int]) -> list[int]:
-    """Of each joint the further effect that takes most, where it takes enough."""
-    present = {_kind_of(base, c) for c in chosen if c >= base}
+def _fastest(log: JointLog) -> np.ndarray:
+    """The largest speed (n,) of each axis."""
+    largest = np.abs(log.motion[0]).max(axis=0)
+    return np.asarray(np.where(largest > 0, largest, 1.0))
+
+
+def _find_unusual(
+    sums: BlockProducts, chosen: Sequence[int], base: int, joints: Sequence[int], step: float
+) -> list[tuple[int, float]]:
+    """Of each joint the further effect that takes most, where it takes enough, and its constant."""
+    present = {kind_of(base, c) for c in chosen if c >= base}
     further = [
-        _column(base, i, k) for i in joints for k, kind in enumerate(COLUMNS) if (i, kind) not in present
-    ]  # fmt: skip
+        place_column(base, i, k)
+        for i in joints
+        for k, kind in enumerate(COLUMNS)
+        if (i, kind) not in present and kind is not WIDTH
+    ]
     if not further:
         return []
     promised, left = promise(sums, chosen, further), sums.take(chosen).fit().residual
-    best: dict[int, tuple[float, int]] = {}
+    best: dict[int, tuple[float, int, float]] = {}
     for k, column in enumerate(further):
-        joint, kind = _kind_of(base, column)
-        is_possible = not kind.is_positive or promised.value[k] > 0
+        joint, kind = kind_of(base, column)
+        # A delay within one row is how rows are written.
+        least = 0.0 if kind.is_positive else step * (kind is LAG)
+        is_possible = (promised.value[k] if kind.is_positive else abs(promised.value[k])) > least
         # Weighed by what is left of each joint, every joint has the same share of the squares.
         is_large = promised.decrease[k] > UNUSUAL_SHARE * left / len(joints)
-        if (
-            is_possible
-            and is_large
-            and promised.share[k] > SEPARABLE_SHARE
-            and abs(promised.ratio[k]) > TRIED_DEVIATIONS
-        ):
-            best[joint] = max(best.get(joint, (0.0, 0)), (float(promised.decrease[k]), column))
-    return [column for _, column in best.values()]
+        is_clear = promised.share[k] > SEPARABLE_SHARE and abs(promised.ratio[k]) > TRIED_DEVIATIONS
+        if is_possible and is_large and is_clear:
+            each = (float(promised.decrease[k]), column, float(promised.value[k]))
+            best[joint] = max(best.get(joint, (0.0, 0, 0.0)), each)
+    # Gains are told from one another: one at a time, and that of the last joint is then no longer separable.
+    gains = sorted((each for each in best.values() if kind_of(base, each[1])[1] is GAIN), reverse=True)
+    return [(column, value) for _, column, value in best.values() if column not in [each[1] for each in gains[1:]]]
 
 
-def _find_idle(fit: BlockSolution, chosen: Sequence[int], base: int) -> list[int]:
+def _find_idle(
+    fit: BlockSolution, chosen: Sequence[int], base: int, fixed: Sequence[int], point: WorkingPoint
+) -> list[int]:
     """Of each joint the least sure effect that is not sure enough or has the wrong sign, an unusual one before a usual one."""
-    worst: dict[int, tuple[bool, float, int]] = {}
-    ratios = fit.x / np.where(fit.std > 0, fit.std, np.inf)
-    for column, ratio in zip(chosen, ratios, strict=True):
-        if column < base:
+    worst: dict[int, tuple[bool, float, list[int]]] = {}
+    for column, value, std in zip(chosen, fit.x, fit.std, strict=True):
+        joint, kind = kind_of(base, column)
+        if column < base or column in fixed or kind is WIDTH:
             continue
-        joint, kind = _kind_of(base, column)
+        ratio = point.complete(kind, joint, value) / (std or np.inf)
         sure = ratio if kind.is_positive else abs(ratio)
         if sure < NAMED_DEVIATIONS:
-            worst[joint] = min(worst.get(joint, (True, np.inf, 0)), (kind in USUAL, float(sure), column))
-    return [column for *_, column in worst.values()]
+            together = [column, place_column(base, joint, COLUMNS.index(WIDTH))] if kind is STRIBECK else [column]
+            worst[joint] = min(worst.get(joint, (True, np.inf, [])), (kind in USUAL, float(sure), together))
+    return [column for *_, columns in worst.values() for column in columns]
 
 
-def _follow_torques(log: _Log, base: int, chosen: Sequence[int], sums: BlockProducts) -> np.ndarray:
+def _follow_torques(log: JointLog, point: WorkingPoint, free: Sequence[int]) -> np.ndarray:
     """Torques (3, N, n): measured, of the rigid bodies, with all effects; NaN where a row does not count."""
-    dq, ddq, tau = log.stack("dq"), log.stack("ddq"), log.stack("tau")
-    x = np.zeros(sums.size)
-    x[list(chosen)] = sums.take(chosen).fit().x
-    rigid = log.regressors @ x[:base]
-    rate = log.differentiate(rigid)
-    constants = x[base:].reshape(tau.shape[1], len(COLUMNS))
-    # Load, gain and lag rest on the torque of the rigid bodies, which is now better known.
-    effects = [effect_columns(dq[:, i], ddq[:, i], rigid[:, i], rate[:, i]) @ c for i, c in enumerate(constants)]
-    return np.where(log.counts, np.array([tau, rigid, rigid + np.column_stack(effects)]), np.nan)
+    rigid, total, _ = point.evaluate(log)
+    # Readings are shown as they are, currents as the torques that they give.
+    shown = np.ones(len(point.gains))
+    shown[list(free)] = point.gains[list(free)]
+    torques = np.array([log.tau / shown, rigid, total * point.gains / shown])
+    return np.where(log.counts, torques, np.nan)
 
 
-def _join_blocks(sums: BlockProducts, log: _Log, torques: np.ndarray, findings: list[Finding]) -> BlockProducts:
+def _join_blocks(sums: BlockProducts, log: JointLog, torques: np.ndarray, findings: list[Finding]) -> BlockProducts:
     """The sums over blocks that are longer than what is left of the torques remembers."""
     left = np.nan_to_num(torques[0] - torques[2])
     size = 2 ** int(np.ceil(np.log2(2 * len(left))))
@@ -382,28 +420,35 @@ def _join_blocks(sums: BlockProducts, log: _Log, torques: np.ndarray, findings: 
     correlation = np.fft.irfft(power, size, axis=0)[: len(left) // 2]
     correlation = correlation[:, correlation[0] > 0] / correlation[0, correlation[0] > 0]
     memory = int((correlation < FORGOTTEN).argmax(axis=0).max(initial=0))
-    count = len(left) / (BLOCK_MEMORIES * max(memory, 1))
+    count = log.cycle / (BLOCK_MEMORIES * max(memory, 1))
     if count < LEAST_BLOCKS:
-        seconds = {"memory": memory * log.motions[0].step, "rows": len(left) * log.motions[0].step}
+        seconds = {"memory": memory * log.motions[0].step, "rows": log.cycle * log.motions[0].step}
         findings.append(Finding(RobotCode.LONG_MEMORY, Severity.WARNING, values=seconds))
     return sums.merge(int(min(max(count, LEAST_BLOCKS), len(sums.rows))))
 
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """The columns that were chosen, fitted; ``bias`` (chosen,) is what the noise of the positions has shifted the estimates by."""
+    """The columns that were chosen, fitted; ``bias`` (chosen,) is what the noise of the positions has shifted the estimates by.
+
+    ``point`` is where the table is linearised, ``free`` the axes whose torque constants are fitted, and ``level`` what all torques are
+    multiplied by where nothing but the description tells it.
+    """
 
     base: BaseParameters
-    table: _Table
+    table: JointTable
     sums: BlockProducts
     chosen: Sequence[int]
     fit: BlockSolution
     bias: np.ndarray
+    point: WorkingPoint
+    free: Sequence[int]
+    level: float = 1.0
 
     @cached_property
     def values(self) -> np.ndarray:
         """The estimates (chosen,)."""
-        return np.asarray(self.fit.x - self.bias)
+        return np.asarray(self.level * (self.fit.x - self.bias))
 
     @cached_property
     def std(self) -> np.ndarray:
@@ -411,7 +456,7 @@ class _Answer:
         B, inverse = self.table.base, self.fit.inverse
         # What was known before is no block that could be left out: its share of the errors is added.
         known = np.einsum("pb,bc,pc->p", inverse[:, :B], self.table.prior[:-1, :-1], inverse[:, :B])
-        return np.sqrt(self.fit.covariance.diagonal() + known + self.bias**2)
+        return np.asarray(self.level * np.sqrt(self.fit.covariance.diagonal() + known + self.bias**2))
 
     def list_constants(self) -> tuple[BaseEstimate, ...]:
         """The base parameters."""
@@ -430,59 +475,109 @@ class _Answer:
     def list_effects(self) -> Iterator[JointEffect]:
         """The effects with their grades."""
         for k, column in enumerate(self.chosen):
-            if column >= self.table.base:
-                spelled = _spell(self.values[k], self.std[k], self.fit.quantile)
-                yield self._make_effect(column, spelled, *self._grade(column, spelled[0]))
+            joint, kind = kind_of(self.table.base, column)
+            if column >= self.table.base and kind is not WIDTH and not (kind is GAIN and joint in self.free):
+                value = self.point.complete(kind, joint, self.values[k])
+                yield self._make_effect(
+                    column, _spell(value, self.std[k], self.fit.quantile), *self._grade(column, value)
+                )
+
+    def list_torque_constants(self, scale: np.ndarray) -> tuple[TorqueConstant, ...]:
+        """The torque constants that were free; ``scale`` (n,) is what the readings were multiplied by."""
+        places = {i: list(self.chosen).index(place_column(self.table.base, i, COLUMNS.index(GAIN))) for i in self.free
+                  if self.table.rows[i].any()}  # fmt: skip
+        made, spread = [], self.fit.covariance + np.diag(self.bias**2)
+        for i, place in places.items():
+            # reading = gain torque, so that a constant is scale / gain; its relative error is that of the gain.
+            first, at = next(iter(places.items()))
+            gains = np.array([self.point.gains[k] + self.fit.x[p] - self.bias[p] for k, p in ((i, place), (first, at))])
+            value, ratio = self.level * scale[i] / gains[0], scale[i] / gains[0] / (scale[first] / gains[1])
+            error = self.std[place] / self.level / abs(gains[0])
+            # var ln(g1 / gi)
+            both = np.array([1.0, -1.0]) / gains
+            of_ratio = math.sqrt(max(both @ spread[np.ix_([place, at], [place, at])] @ both, 0.0))
+            joint = self.base.robot.axes[i]
+            made.append(
+                TorqueConstant(
+                    joint.name,
+                    *_spell(value, abs(value) * error, self.fit.quantile),
+                    f"{joint.units[1]}/A",
+                    ratio,
+                    _spell(ratio, abs(ratio) * of_ratio, self.fit.quantile)[2],
+                )
+            )
+        return tuple(made)
 
     def _make_effect(
         self, column: int, spelled: tuple[float, float, Interval], grade: Grade, share: float, rival: str
     ) -> JointEffect:
-        i, kind = _kind_of(self.table.base, column)
+        i, kind = kind_of(self.table.base, column)
         joint = self.base.robot.axes[i]
         return JointEffect(joint.name, kind.name, *spelled, kind.units[joint.units[0] == "m"], grade, share, rival)
 
     def _grade(self, column: int, value: float) -> tuple[Grade, float, str]:
         """What may be said of an effect, the share of its joint's rms error that it takes, and what would do nearly as well."""
-        joint, kind = _kind_of(self.table.base, column)
+        joint, kind = kind_of(self.table.base, column)
         without = [c for c in self.chosen if c != column]
         share = float(1 - self._rms(self.chosen)[joint] / self._rms(without)[joint])
-        others = [_column(self.table.base, joint, k) for k, other in enumerate(COLUMNS) if other is not kind]
+        others = [
+            place_column(self.table.base, joint, k)
+            for k, other in enumerate(COLUMNS)
+            if other not in (kind, WIDTH) and not (other is GAIN and joint in self.free)
+        ]
         further = [c for c in others if c not in self.chosen]
         shares = promise(self.sums, self.chosen, further).share
         # Beside everything else that its joint may have, all at once.
         rich = [*self.chosen, *(c for c, s in zip(further, shares, strict=True) if s > SEPARABLE_SHARE)]
         fit, place = self.sums.take(rich).fit(), rich.index(column)
-        if fit.x[place] / fit.std[place] * np.sign(value) > CERTAIN_DEVIATIONS and share > CERTAIN_SHARE:
+        beside = self.point.complete(kind, joint, fit.x[place])
+        if beside / fit.std[place] * np.sign(value) > CERTAIN_DEVIATIONS and share > CERTAIN_SHARE:
             return Grade.ESTABLISHED, share, ""
-        errors = {c: self.sums.take([*without, c]).fit().residual for c in further}
+        errors = {c: self._fit([*without, c])[0].residual for c in further}
         rival = min(errors, key=errors.__getitem__, default=None)
-        return Grade.PROBABLE, share, "" if rival is None else _kind_of(self.table.base, rival)[1].name
+        return Grade.PROBABLE, share, "" if rival is None else kind_of(self.table.base, rival)[1].name
+
+    def _fit(self, columns: Sequence[int]) -> tuple[BlockSolution, np.ndarray]:
+        """The fit of some columns, and constants (P,) with it; gains that are not among them are one, those of currents stand."""
+        x = np.zeros(self.sums.size)
+        for i, gain in enumerate(self.point.gains):
+            at = place_column(self.table.base, i, COLUMNS.index(GAIN))
+            columns = [c for c in columns if c != at or i not in self.free]
+            x[at] = 0.0 if at in columns or i in self.free else 1 - gain
+        fit = self.sums.substitute(np.eye(self.sums.size)[:, list(columns)], x).fit()
+        x[list(columns)] = fit.x
+        return fit, x
 
     def _rms(self, columns: Sequence[int]) -> np.ndarray:
         """Rms (n,) that is left of each torque where these columns are fitted."""
-        x = np.zeros(self.sums.size)
-        x[list(columns)] = self.sums.take(columns).fit().x
-        return np.sqrt(self.table.measure(x))
+        return np.sqrt(self.table.measure(self._fit(columns)[1]))
 
     def measure_joints(self) -> tuple[JointMisfit, ...]:
         """How well each torque is followed."""
         rms = np.array([self._rms(columns) for columns in ([], range(self.table.base), self.chosen)])
+        rms[:, list(self.free)] *= self.level / np.abs(self.point.gains[list(self.free)])
         return tuple(
             JointMisfit(joint.name, joint.units[1], int(rows), *map(float, rms[:, i]))
             for i, (joint, rows) in enumerate(zip(self.base.robot.axes, self.table.rows.sum(axis=1), strict=True))
             if rows
         )
 
-    def compare_with_description(self) -> tuple[RigidVerdict, Payload | None, list[Finding], list[JointEffect]]:
+    def compare_with_description(self) -> tuple[RigidVerdict, Payload | None, list[Finding], list[JointEffect], float]:
         """Whether the rigid bodies are as described, or a payload on the last link or one factor is the difference.
 
         Where the links are known, the inertia of each motor shows by itself: those that free links would carry come last.
         """
-        base, B = self.base, self.table.base
+        base, B, level = self.base, len(self.base.names), self.table.gauge[-1, :-1]
+        sums, has_level = self.sums, bool(level.any())
+        if has_level:
+            # The description itself says the level here.
+            left = self.table.measure(solve(sums, self.chosen))
+            variances = np.where(np.isfinite(left) & (left > 0), left, 1.0)
+            sums = replace(self.table, gauge=0 * self.table.gauge).weigh(variances).merge(len(sums.rows))
         # What joints usually have takes part even where it is not sure: links would take its place.
-        beside = [c for c in range(B, self.sums.size) if _kind_of(B, c)[1] in (*USUAL, INERTIA)]
-        effects = sorted({*self.chosen[B:], *beside})
-        whole = self.sums.take([*range(B), *effects])
+        beside = [c for c in range(self.table.base, sums.size) if kind_of(self.table.base, c)[1] in (*USUAL, INERTIA)]
+        effects = sorted({*range(B, self.table.base), *self.chosen[self.table.base :], *beside})
+        whole = sums.take([*range(B), *effects])
 
         def fit(mixing: np.ndarray, described: float) -> BlockSolution:
             """The rigid bodies as the description says, times ``described``, with combinations (B, Z) of unknowns beside it."""
@@ -502,8 +597,11 @@ class _Answer:
         loaded = fits[RigidVerdict.PAYLOAD]
         mass, std, interval = _spell(loaded.x[0], loaded.std[0], loaded.quantile)
         is_possible = {
-            RigidVerdict.AS_DESCRIBED: abs(factor - 1) <= SCALED_DEVIATIONS * spread,
-            RigidVerdict.PAYLOAD: mass != 0 and not loaded.is_open[0],
+            RigidVerdict.AS_DESCRIBED: has_level or abs(factor - 1) <= SCALED_DEVIATIONS * spread,
+            RigidVerdict.SCALED: not has_level,
+            # Beside a free level a payload has to show; a tool that was taken off weighs less than nothing.
+            RigidVerdict.PAYLOAD: not loaded.is_open[0]
+            and (mass > SCALED_DEVIATIONS * std if has_level else mass != 0),
         }
         errors = {
             verdict: each.errors.sum()
@@ -523,15 +621,23 @@ class _Answer:
         if verdict is RigidVerdict.PAYLOAD:
             x, y, z = (loaded.x[1:4] / mass).tolist()
             payload = Payload(base.robot.joints[-1].link, mass, std, interval, (x, y, z))
+        factor = 1.0
+        if has_level:
+            level_of = {"source": base.robot.source, "payload": "" if payload is None else payload.link}
+            findings.append(Finding(RobotCode.TORQUE_LEVEL, Severity.WARNING, values=level_of))
+            # u' beta is one where links are as described, and more where they carry something.
+            heavier = level[:B] / self.table.gauge[-1, -1] @ base.mixing[:, -10:] @ loaded.x[:10]
+            factor += float(heavier) if payload else 0.0
         if verdict is not RigidVerdict.OTHER:
             best = fits[verdict]
             x, deviations, is_open = (v[-len(effects) :] for v in (best.x, best.std, best.is_open))
             for k, column in enumerate(effects):
-                is_motor = _kind_of(B, column)[1] is INERTIA and column not in self.chosen and not is_open[k]
+                kind = kind_of(self.table.base, column)[1]
+                is_motor = kind is INERTIA and column not in self.chosen and not is_open[k]
                 if is_motor and x[k] > NAMED_DEVIATIONS * deviations[k]:
                     spelled = _spell(x[k], deviations[k], free.quantile)
                     motors.append(self._make_effect(column, spelled, Grade.PROBABLE, 0.0, ""))
-        return verdict, payload, findings, motors
+        return verdict, payload, findings, motors, factor
 
 
 def _spell(value: float, std: float, quantile: float) -> tuple[float, float, Interval]:

@@ -53,7 +53,7 @@ class Motion(ReadOnly):
     q, dq, ddq
         Positions, velocities, accelerations (N, n).
     tau
-        Torques (N, n) as measured; NaN where they were not.
+        Torques (N, n) as measured, or currents in A where there is no torque; NaN where neither is.
     is_moving
         Where each axis moves (N, n): elsewhere dry friction may have any value up to its level.
     cutoffs
@@ -93,7 +93,8 @@ def reconstruct_motion(
     Parameters
     ----------
     record
-        Its columns ``q1`` ... ``qn`` in rad or m, ``tau1`` ... in N m or N, ``dq1`` ... in rad/s or m/s where there are some.
+        Its columns ``q1`` ... ``qn`` in rad or m, ``tau1`` ... in N m or N or ``i1`` ... in A, ``dq1`` ... in rad/s or m/s where there
+        are some.
     axes
         Numbers (n,) of the axes in the names of the columns.
     shake
@@ -122,7 +123,7 @@ def reconstruct_motion(
         return values if record.sampling_time else np.interp(time, record.time, values)
 
     q, dq, ddq = np.empty((3, n, len(axes)))
-    tau = np.column_stack([read(f"tau{number}") for number in axes])
+    tau = np.column_stack([read(f"tau{k}" if f"tau{k}" in columns else f"i{k}") for k in axes])
     cutoffs, noise, quiet = np.empty((3, len(axes)))
     is_measured = np.zeros(len(axes), bool)
     for k, number in enumerate(axes):

@@ -101,11 +101,16 @@ class RobotPlant:
 
     @property
     def log_model(self) -> Model:
-        """What a log of it may hold, for reading: positions, velocities and torques; none of them must be there."""
+        """What a log of it may hold, for reading: positions, velocities, torques and currents; none of them must be there."""
         signals = [
             Output(f"{name}{k}", unit)
             for k, joint in enumerate(self.robot.axes, 1)
-            for name, unit in (("q", joint.units[0]), ("dq", f"{joint.units[0]}/s"), ("tau", joint.units[1]))
+            for name, unit in (
+                ("q", joint.units[0]),
+                ("dq", f"{joint.units[0]}/s"),
+                ("tau", joint.units[1]),
+                ("i", "A"),
+            )
         ]
         return PlantModel.of(SimpleNamespace(name=self.name, inputs=(), outputs=signals, parameters=()))
 

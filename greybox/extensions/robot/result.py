@@ -24,6 +24,10 @@ class RobotCode(StrEnum):
     RIVAL = "robot_rival"
     SCALED = "robot_scaled"
     PHYSICAL = "robot_physical"
+    JOINTS_BY_NAME = "robot_joints_by_name"
+    NOT_FOLLOWED = "robot_not_followed"
+    GAIN = "robot_gain"
+    TORQUE_LEVEL = "robot_torque_level"
 
 
 class RigidVerdict(StrEnum):
@@ -133,6 +137,29 @@ class JointMisfit:
     final: float
 
 
+@dataclass(frozen=True)
+class TorqueConstant:
+    """What one ampere gives at a joint, gear included.
+
+    Parameters
+    ----------
+    joint
+        The joint.
+    value, std, interval, unit
+        The constant, N m/A or N/A; of its level a finding says what it rests on.
+    ratio, ratio_interval
+        To that of the first joint whose constant was fitted: this the currents tell by themselves.
+    """
+
+    joint: str
+    value: float
+    std: float
+    interval: Interval
+    unit: str
+    ratio: float
+    ratio_interval: Interval
+
+
 @dataclass(frozen=True, eq=False)
 class RobotIdentification(StoredResult, Printable):
     """What logs say of a robot.
@@ -151,6 +178,8 @@ class RobotIdentification(StoredResult, Printable):
         What the joints have beside rigid bodies.
     joints
         How well each torque is followed.
+    torque_constants
+        Those that were fitted.
     verdict, payload
         How the rigid bodies compare with the description, and the payload, where one explains the difference.
     findings
@@ -167,6 +196,7 @@ class RobotIdentification(StoredResult, Printable):
     base: tuple[BaseEstimate, ...]
     effects: tuple[JointEffect, ...]
     joints: tuple[JointMisfit, ...]
+    torque_constants: tuple[TorqueConstant, ...]
     verdict: RigidVerdict
     payload: Payload | None
     findings: tuple[Finding, ...]
@@ -175,5 +205,5 @@ class RobotIdentification(StoredResult, Printable):
 
     FILE: ClassVar[FileKind] = FileKind("an identification of a robot", "robot.json that greybox robot has written")
     KEYS: ClassVar[str] = (
-        "robot source records rows blocks verdict payload base effects joints notes=str(findings) findings"
+        "robot source records rows blocks verdict payload base effects joints torque_constants notes=str(findings) findings"
     )

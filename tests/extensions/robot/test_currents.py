@@ -1,0 +1,116 @@
+"""Currents in the place of torques: what they tell, what closes the rest, and what is said of either."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.base import DataError
+from greybox.discovery.decision import Grade
+from greybox.extensions.robot import Robot, identify_robot, read_robot
+from greybox.extensions.robot.result import RigidVerdict
+from tests.support.robots import DOUBLE_PENDULUM, joint_log, write
+
+# What one ampere gives, the second motor with its leads exchanged.
+CONSTANTS = np.array([2.5, -0.6])
+HIDDEN = {"viscous": (0.8, 0.0), "dry": (0.0, 0.5), "offset": (0.0, 0.2)}
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    return read_robot(write(tmp_path_factory.mktemp("robot") / "double_pendulum.urdf", DOUBLE_PENDULUM))
+
+
+def as_currents(log: gb.Experiment, axes: tuple[int, ...] = (1, 2), name: str = "log") -> gb.Experiment:
+    taus = {f"tau{k}": (f"i{k}", CONSTANTS[k - 1]) for k in axes}
+    columns = {taus[n][0] if n in taus else n: v / taus[n][1] if n in taus else v for n, v in log.outputs.items()}
+    return gb.Experiment(name, log.time, {}, columns)
+
+
+def assert_hidden(found: gb.robots.RobotIdentification) -> None:
+    named = {(e.joint, e.kind): e for e in found.effects}
+    truth = {("shoulder", "viscous_friction"): 0.8, ("elbow", "coulomb_friction"): 0.5, ("elbow", "torque_offset"): 0.2}
+    assert set(named) == set(truth)
+    for key, true in truth.items():
+        assert named[key].grade is Grade.ESTABLISHED and abs(named[key].value - true) < 4 * named[key].std < 0.1 * true
+
+
+def test_free_constants_have_the_level_of_the_description_and_it_is_said(arm: Robot) -> None:
+    found = identify_robot(arm, as_currents(joint_log(**HIDDEN)))
+    assert found.verdict is RigidVerdict.AS_DESCRIBED
+    for constant, true in zip(found.torque_constants, CONSTANTS, strict=True):
+        assert constant.unit == "N*m/A" and abs(constant.value - true) < 4 * constant.std < 0.05 * abs(true)
+    low, high = found.torque_constants[1].ratio_interval
+    assert low < CONSTANTS[1] / CONSTANTS[0] < high
+    assert_hidden(found)
+    assert "one known constant" in " ".join(map(str, found.findings))
+
+
+def test_one_known_constant_or_one_torque_closes_the_level(arm: Robot) -> None:
+    log = joint_log(payload=0.4, **HIDDEN)
+    known = identify_robot(arm, as_currents(log), torque_constants={"shoulder": 2.5})
+    torque = identify_robot(arm, as_currents(log, axes=(2,)))
+    for found in (known, torque):
+        (elbow,) = found.torque_constants
+        assert abs(elbow.value + 0.6) < 4 * elbow.std < 0.03
+        low, high = found.payload.mass_interval
+        assert low < 0.4 < high and high - low < 0.1
+        assert "robot_torque_level" not in [f.code for f in found.findings]
+        assert_hidden(found)
+
+
+def test_a_payload_that_was_weighed_closes_the_level(arm: Robot) -> None:
+    logs = [as_currents(joint_log(**HIDDEN)), as_currents(joint_log(1, payload=0.4, **HIDDEN), name="loaded")]
+    found = identify_robot(arm, logs, payloads={"loaded": 0.4})
+    for constant, true in zip(found.torque_constants, CONSTANTS, strict=True):
+        assert constant.interval[0] < true < constant.interval[1]
+        # The level carries this error alone: ratios are ten times as sharp.
+        assert 0.001 * abs(true) < constant.std < 0.02 * abs(true)
+    assert np.diff(found.torque_constants[1].ratio_interval)[0] < 0.01 * 0.24
+    # Weighed as twice what it is, everything is twice as heavy.
+    double = identify_robot(arm, logs, payloads={"loaded": 0.8})
+    assert double.torque_constants[0].value == pytest.approx(2 * found.torque_constants[0].value, rel=1e-3)
+    assert double.verdict is RigidVerdict.SCALED
+
+
+def test_a_payload_that_nobody_weighed_is_not_told_from_the_level(arm: Robot) -> None:
+    found = identify_robot(arm, as_currents(joint_log(payload=0.4, **HIDDEN)))
+    assert found.payload is None and found.verdict is RigidVerdict.OTHER
+    # The ratio holds all the same.
+    low, high = found.torque_constants[1].ratio_interval
+    assert low < CONSTANTS[1] / CONSTANTS[0] < high
+
+
+def test_what_cannot_be_is_refused(arm: Robot, tmp_path: Path) -> None:
+    log = joint_log()
+    with pytest.raises(DataError, match="'wrist' has a torque constant and no current"):
+        identify_robot(arm, as_currents(log), torque_constants={"wrist": 1.0})
+    with pytest.raises(DataError, match="no record 'loaded'"):
+        identify_robot(arm, as_currents(log), payloads={"loaded": 1.0})
+    bare = re.sub(r"<inertial>.*?</inertial>", "", DOUBLE_PENDULUM, flags=re.DOTALL)
+    with pytest.raises(DataError, match="has no masses, and all torque constants are free"):
+        identify_robot(read_robot(write(tmp_path / "bare.urdf", bare)), as_currents(log))
+
+
+def test_a_gain_of_one_drive_is_told_beside_the_others(arm: Robot) -> None:
+    log = joint_log(**HIDDEN)
+    wrong = {n: 1.12 * v if n == "tau2" else v for n, v in log.outputs.items()}
+    found = identify_robot(arm, gb.Experiment("log", log.time, {}, wrong))
+    (gain,) = [e for e in found.effects if e.kind == "drive_gain"]
+    low, high = (1 + end for end in gain.interval)
+    said = " ".join(map(str, found.findings))
+    # That the elbow reads too much and that the shoulder reads too little are the same log.
+    assert (
+        (gain.joint == "elbow" and low < 1.12 < high) or (gain.joint == "shoulder" and low < 1 / 1.12 < high)
+    ) and "look the same" in said
+
+
+def test_what_is_wrong_with_the_columns_is_asked(arm: Robot) -> None:
+    log = joint_log()
+    swapped = {n.translate(str.maketrans("12", "21")): v for n, v in log.outputs.items()}
+    found = identify_robot(arm, gb.Experiment("log", log.time, {}, swapped))
+    assert "in the order of the axes?" in " ".join(map(str, found.findings))

@@ -1,0 +1,104 @@
+"""Logs whose columns are called by joints: as ROS and its tools write them, in any order, with units in words or brackets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.base import DataError
+from greybox.extensions.robot import identify_robot, read_joint_logs, read_robot
+from tests.support.robots import DOUBLE_PENDULUM, joint_log, write
+
+JOINTS = ("shoulder", "elbow")
+
+
+def limited() -> str:
+    return DOUBLE_PENDULUM.replace('type="continuous"', 'type="revolute"').replace(
+        '<axis xyz="0 1 0"/></joint>\n</robot>',
+        '<axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="9" velocity="3"/></joint>\n</robot>',
+    )
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> gb.robots.RobotPlant:
+    return gb.robot(write(tmp_path_factory.mktemp("robot") / "arm.urdf", limited()))
+
+
+def write_columns(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    np.savetxt(
+        path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="", fmt="%.17g"
+    )
+    return path
+
+
+def columns_of(log: gb.Experiment, spelling: str, order: tuple[int, ...] = (2, 1)) -> dict[str, np.ndarray]:
+    words = {"q": "position", "tau": "effort"}
+    return {
+        spelling.format(joint=JOINTS[k - 1], what=words[s]): log.outputs[f"{s}{k}"] for s in ("q", "tau") for k in order
+    }
+
+
+@pytest.mark.parametrize(
+    "spelling",
+    [
+        "{joint}.{what}",
+        "/joint_states/{joint}/{what}",
+        "{what}_{joint}",
+        "arm_{joint}_joint_{what}",
+        "{joint}Joint_{what}",
+    ],
+)
+def test_joints_are_found_by_name_in_any_order(plant: gb.robots.RobotPlant, tmp_path: Path, spelling: str) -> None:
+    log = joint_log(rows=800)
+    path = write_columns(
+        tmp_path / "log.csv", {"stamp": 1.7e9 + log.time, **columns_of(log, spelling), "gripper.position": log.time}
+    )
+    (read,) = read_joint_logs(plant, [path])
+    for name in ("q1", "q2", "tau1", "tau2"):
+        np.testing.assert_allclose(read.outputs[name], log.outputs[name], rtol=1e-12)
+    said = " ".join(map(str, read.findings))
+    assert "names of the joints shoulder and elbow" in said and "states no unit and is taken as a torque" in said
+
+
+def test_units_stand_in_words_or_brackets(plant: gb.robots.RobotPlant, tmp_path: Path) -> None:
+    log = joint_log(rows=800)
+    columns = {
+        **{
+            "time": log.time,
+            "shoulder_pos_deg": np.degrees(log.outputs["q1"]),
+            "elbow [deg]": np.degrees(log.outputs["q2"]),
+        },
+        **{"shoulder_torque_Nm": log.outputs["tau1"], "elbow_effort [A]": log.outputs["tau2"]},
+        **{"elbow_desired_position": log.time, "elbow_temperature": log.time},
+    }
+    (read,) = read_joint_logs(plant, [write_columns(tmp_path / "log.csv", columns)])
+    for name, source in (("q1", "q1"), ("q2", "q2"), ("tau1", "tau1"), ("i2", "tau2")):
+        np.testing.assert_allclose(read.outputs[name], log.outputs[source], rtol=1e-12, atol=1e-12)
+
+
+def test_columns_are_named_by_joints_as_well(plant: gb.robots.RobotPlant, tmp_path: Path) -> None:
+    log = joint_log(rows=800)
+    names = {"a": log.outputs["q1"], "b": log.outputs["q2"], "c": log.outputs["tau1"], "d": log.outputs["tau2"]}
+    path = write_columns(tmp_path / "log.csv", {"time": log.time, **names})
+    told = {"shoulder": "a", "elbow_position [rad]": "b", "shoulder_effort [N*m]": "c", "tau2": "d"}
+    (read,) = read_joint_logs(plant, [path], columns=told)
+    (same,) = read_joint_logs(plant, [path], columns=["time", "shoulder", "elbow", "shoulder_effort", "tau2"])
+    for name in ("q1", "q2", "tau1", "tau2"):
+        np.testing.assert_array_equal(read.outputs[name], log.outputs[name])
+        np.testing.assert_array_equal(same.outputs[name], log.outputs[name])
+
+
+def test_what_is_ambiguous_or_missing_is_refused(plant: gb.robots.RobotPlant, tmp_path: Path) -> None:
+    log = joint_log(rows=800)
+    columns = {"time": log.time, **columns_of(log, "{joint}.{what}")}
+    with pytest.raises(DataError, match=r"both 'elbow.position' and 'left_elbow.position' may be q2"):
+        read_joint_logs(plant, [write_columns(tmp_path / "two.csv", {**columns, "left_elbow.position": log.time})])
+    with pytest.raises(DataError, match=r"no column is called q1, tau1 \.\.\. or by a joint"):
+        read_joint_logs(plant, [write_columns(tmp_path / "none.csv", {"time": log.time, "actual_q_0": log.time})])
+    degrees = {n: np.degrees(v) if "position" in n else v for n, v in columns.items()}
+    (read,) = read_joint_logs(plant, [write_columns(tmp_path / "deg.csv", degrees)])
+    with pytest.raises(DataError, match=r"shoulder of the robot from -3 to 3 rad; .* --column 'q1 \[deg\]=HEADER'"):
+        identify_robot(read_robot(write(tmp_path / "arm.urdf", limited())), read)
