@@ -9,10 +9,11 @@ from functools import cached_property, partial
 
 from greybox.base import Check, Finding
 from greybox.discovery.claims import NO_GROUNDS, Claim, Grounds, grade_claims, name_claim, read_verdict
-from greybox.discovery.decision import Conclusion, Decision, Grade, Verdict, judge_rest, visible_rms_limit
+from greybox.discovery.decision import Conclusion, Decision, Grade, Verdict, judge_rest, make_check, visible_rms_limit
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.false_names import FalseNameRate
+from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.holdout import (
     VISIBLE_RMS,
     HoldoutError,
@@ -164,7 +165,11 @@ class SearchAnswer:
     @cached_property
     def decided(self) -> Conclusion:
         """The verdict, with the checks that it rests on."""
-        return read_verdict(self.rest, self.claims, self.named)
+        rest = self.rest
+        # Of a plain model whose fit ends elsewhere when it is repeated nobody knows what it lacks.
+        if rest and not self.named and not self.grounds.is_settled:
+            rest = Decision(False, (*rest.checks, make_check(DiscoveryRule.SETTLED, 0.0, 1.0, False)))
+        return read_verdict(rest, self.claims, self.named)
 
     @property
     def verdict(self) -> Verdict:

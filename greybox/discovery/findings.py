@@ -27,6 +27,7 @@ class DiscoveryRule(StrEnum):
     TEST_NOISE = "test_noise"
     WINS = "wins"
     ESTABLISHED = "established"
+    SETTLED = "settled"
 
 
 class DiscoveryCode(StrEnum):
@@ -34,6 +35,7 @@ class DiscoveryCode(StrEnum):
 
     # The answer.
     NOTHING_MISSING = "nothing_missing"
+    PLAIN_UNSETTLED = "plain_unsettled"
     EFFECT_NAMED = "effect_named"
     EFFECTS_TIED = "effects_tied"
     EFFECTS_ESTABLISHED = "effects_established"
@@ -62,6 +64,7 @@ class DiscoveryCode(StrEnum):
     ERRORS_GROW = "errors_grow"
     TIME_OVER = "time_over"
     REFIT_ELSEWHERE = "refit_elsewhere"
+    PLAIN_WAS_STUCK = "plain_was_stuck"
     TEST_ERROR = "test_error"
     DETECTION_LIMIT = "detection_limit"
     SEEN_THROUGH_RESPONSE = "seen_through_response"

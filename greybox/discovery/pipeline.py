@@ -253,6 +253,8 @@ def discover(
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
         findings = (*findings, *_tell_if_errors_grow(answer.search.baseline, problem.options))
         result = conclude(answer, test_set, findings, problem if laws else None)
+        if stuck := find_stuck_start(problem.baseline, result.base):
+            result = replace(result, findings=(stuck, *result.findings))
         result = add_test_error(result, problem, test_set)
         witnesses = (*answer.problem.experiments, *answer.validation.records)
         compare = partial(follow_conditions, result.extended, witnesses, problem.options)
@@ -275,6 +277,19 @@ def discover(
             failures=tuple(problem.failures.entries.values()),
             seconds=time.perf_counter() - began,
         )
+
+
+# Misfit of the plain model from its start values over that of the one in the answer, from which the first was in another optimum.
+WORSE_OPTIMUM = 1.1
+
+
+def find_stuck_start(begun: FittedCandidate, plain: Fit) -> Finding | None:
+    """That the plain model, fitted from its start values as anybody would, had ended in a worse optimum than that of the answer."""
+    before, after = begun.noise_ratio, max((m.noise_ratio for m in plain.misfit.values()), default=math.inf)
+    if not math.isfinite(before) or before <= WORSE_OPTIMUM * after:
+        return None
+    values = {"before": before, "after": after, "bounded": begun.is_noise_bounded}
+    return Finding(DiscoveryCode.PLAIN_WAS_STUCK, Severity.WARNING, plain.model.title, values)
 
 
 def _estimate_scales(problem: DiscoveryProblem) -> Scales:

@@ -14,7 +14,7 @@ from greybox.discovery.answer import SearchAnswer
 from greybox.discovery.claims import SENSOR_CLASS, Claim, deepest_established, name_claim, place_within_sensor_class
 from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.effect_signal import RemainingError
-from greybox.discovery.findings import DiscoveryCode
+from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import PARTIAL_SHARE, VALIDATION_SHARE, HoldoutError, worst_output
 from greybox.discovery.laws.terms import Law
 from greybox.discovery.localisation import ResidualLocalisation
@@ -37,6 +37,8 @@ def summarise(
     is_worse = answer.grounds.is_contradicted
     if decided.verdict is Verdict.COMPLETE:
         return (Finding(DiscoveryCode.NOTHING_MISSING),)
+    if decided.checks and decided.checks[-1].rule == DiscoveryRule.SETTLED:
+        return (Finding(DiscoveryCode.PLAIN_UNSETTLED),)
     effects = answer.named
     name, output = " + ".join(effects), worst_output(answer.holdout)
     error = answer.holdout[output]

@@ -542,6 +542,13 @@ register(
     {
         # The answer.
         DiscoveryCode.NOTHING_MISSING: "No effect is missing: the plain model explains the records down to the noise.",
+        DiscoveryCode.PLAIN_UNSETTLED: "The plain model explains the records down to the noise, but its fit has not settled: whether an"
+        " effect is missing is open.",
+        DiscoveryCode.PLAIN_WAS_STUCK: lambda f: (
+            f"{f.subject}: from its start values the plain model ends at {ratio_text(f.values['before'], f.values['bounded'])}, from"
+            f" others at {f.values['after']:.3g} times. What a fit from there leaves is another optimum and no missing effect: begin at"
+            " the constants found here (shell: fit the model.py that is written), or take several starts (--starts 8)."
+        ),
         DiscoveryCode.EFFECT_NAMED: "The plain model lacks {subject}: with it, only noise is left.",
         DiscoveryCode.ERROR_LEFT: lambda f: f"{_remaining_text(f.subject, f.values)}.",
         DiscoveryCode.UNKNOWN_EFFECT: "The model lacks an effect, and no effect of the catalogue is established.",
@@ -707,6 +714,7 @@ register(
             "decrease over blocks of the validation records, in standard errors", ">="
         ),
         DiscoveryRule.TEST_INCREASE: _check("increase over blocks of the test records, in standard errors", "<"),
+        DiscoveryRule.SETTLED: _check("fit repeated from its end, and ended there", ">="),
         DiscoveryRule.TEST_NOISE: _check("error on the test records over noise", "<="),
         DiscoveryRule.WINS: _check("misfit over that of the set before", "<"),
         DiscoveryRule.ESTABLISHED: _check("established, with probability", ">="),

@@ -53,6 +53,18 @@ CURVE = {
 FINDINGS = [
     (Code.NOTHING_MISSING, *("", {}), "No effect is missing: the plain model explains the records down to the noise."),
     (
+        Code.PLAIN_UNSETTLED,
+        *("", {}),
+        "The plain model explains the records down to the noise, but its fit has not settled: whether an effect is missing is open.",
+    ),
+    (
+        Code.PLAIN_WAS_STUCK,
+        *("rig", {"before": 12.34, "after": 1.02, "bounded": False}),
+        "rig: from its start values the plain model ends at 12.3 times the noise, from others at 1.02 times. What a fit from there leaves"
+        " is another optimum and no missing effect: begin at the constants found here (shell: fit the model.py that is written), or take"
+        " several starts (--starts 8).",
+    ),
+    (
         Code.EFFECT_NAMED,
         *("coulomb_friction", {}),
         "The plain model lacks coulomb_friction: with it, only noise is left.",
@@ -542,6 +554,7 @@ CHECKS = {
     Rule.HOLDOUT_NOISE: "backlash: validation error of the extended model over noise 18.2 <= 20: no",
     Rule.VALIDATION_DECREASE: "backlash: validation misfit 18.2 <= 20: no",
     Rule.TEST_INCREASE: "backlash: increase over blocks of the test records, in standard errors 18.2 < 20: no",
+    Rule.SETTLED: "backlash: fit repeated from its end, and ended there 18.2 >= 20: no",
     Rule.TEST_NOISE: "backlash: error on the test records over noise 18.2 <= 20: no",
     Rule.CONSISTENT_DECREASE: "backlash: decrease over blocks of the validation records, in standard errors 18.2 >= 20: no",
     Rule.WINS: "backlash: misfit over that of the set before 18.2 < 20: no",
