@@ -487,21 +487,27 @@ class _Context:
         )
 
     def _equals(self, best: int, form: EffectForm) -> dict[int, str]:
-        """The effects, no relatives, with which a set that is good does without this one, as often as not, by the set's number."""
-        rest = Counter(f.name for f in self.forms[best]) - Counter([form.name])
+        """The effects, no relatives, with which a set that is good does without this one, as often as not, by the set's number.
+
+        One that contains others of the set stands for these as well: friction of two levels does what friction of one and a load do.
+        """
+        names = Counter(f.name for f in self.forms[best])
         rounds = self.draws.good[:, best]
         equals = {}
         for k, forms in enumerate(self.forms):
-            others = list((Counter(f.name for f in forms) - rest).elements())
-            is_exchange = len(forms) == len(self.forms[best]) and len(others) == 1
-            if not is_exchange or not others[0] or _are_related(others[0], form.name):
+            other_names = Counter(f.name for f in forms)
+            added, removed = list((other_names - names).elements()), list((names - other_names).elements())
+            if len(added) != 1 or form.name not in removed or not added[0] or _are_related(added[0], form.name):
+                continue
+            removed.remove(form.name)
+            if not all(_are_related(added[0], name) for name in removed):
                 continue
             # A law of more constants does what one of fewer does: that is no objection.
             sets = self.draws.sets
             if sets[k].candidate.laws and sets[k].candidate.free > sets[best].candidate.free:
                 continue
             if float(self.draws.good[rounds, k].mean()) >= EQUAL_FREQUENCY:
-                equals[k] = others[0]
+                equals[k] = added[0]
         return equals
 
     def _form(self, value: Hashable, depth: Depth) -> str:
@@ -535,14 +541,15 @@ class _Context:
 
 
 def _are_related(one: str, other: str) -> bool:
-    """Whether an effect contains or approaches another, through others too: what does the same as its richer relative is no tie."""
-    return one == other or one in _list_simpler(other) or other in _list_simpler(one)
+    """Whether an effect contains or approaches another at its place, through others too: to do what its richer relative does is no tie."""
+    (base, _, place), (other_base, _, other_place) = one.partition(AT), other.partition(AT)
+    is_one_simpler = base in _list_simpler(other_base) or other_base in _list_simpler(base)
+    return place == other_place and (base == other_base or is_one_simpler)
 
 
 @lru_cache(maxsize=256)
 def _list_simpler(name: str) -> frozenset[str]:
-    base = name.partition(AT)[0]
-    direct = {simpler for e in all_effects() if e.name == base for simpler in (*e.parents, *e.approaches)}
+    direct = {simpler for e in all_effects() if e.name == name for simpler in (*e.parents, *e.approaches)}
     return frozenset(direct | {further for simpler in direct for further in _list_simpler(simpler)})
 
 
@@ -711,9 +718,9 @@ def read_verdict(
 
 
 def list_tied_sets(claims: Sequence[Claim], effects: Sequence[str]) -> list[tuple[str, ...]]:
-    """The sets of effects that would do the same as those of a model, with one of them replaced by its equal."""
+    """The sets of effects that would do the same as those of a model, with one of them, and what its equal contains, replaced by that."""
     return [
-        tuple(other if name == effect else name for name in effects)
+        tuple(other if name == effect else name for name in effects if name == effect or not _are_related(name, other))
         for effect in effects
         if (claim := name_claim(claims, effect)) is not None
         for other in claim.equals

@@ -197,7 +197,7 @@ def _finish_answer(answer: SearchAnswer) -> SearchAnswer:
 def _keep_if_better(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
     """The answer where it does better than the plain model on the records that judge it; else the plain model is the answer."""
     if not answer.added:
-        return answer
+        return replace(answer, rejected=answer.rejected or _name_best_fitted(answer))
     names = " + ".join(write_effect(answer.best.model, e) for e in answer.added)
     better = judge_against_plain(answer.base, answer.best, answer.validation.uncounted, names)
     kept = judge_on_test(answer.problem, answer.base, answer.best, test, names)
@@ -220,6 +220,17 @@ def _keep_if_better(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
         usual=None,
         question=None,
     )
+
+
+def _name_best_fitted(answer: SearchAnswer) -> str:
+    """The set that follows the fitted records best by its criterion, where it does no better than the plain model on those that judge."""
+    table, plain = answer.search.table, answer.search.baseline
+    named = [fit for fit in table.candidates if not any(map(is_shape_correction, fit.effects))]
+    best = min(named, key=lambda fit: fit.criterion, default=plain)
+    before, after = table.sums(plain), table.sums(best)
+    if not best.effects or before is None or after is None or measure_share(before, after) >= LEAST_SHARE:
+        return ""
+    return " + ".join(best.names)
 
 
 def _hold_against_test(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:

@@ -15,6 +15,7 @@ from greybox.discovery.claims import (
     EffectForm,
     Grounds,
     Weights,
+    _are_related,
     deepest_established,
     describe_effect,
     grade_claims,
@@ -89,9 +90,10 @@ def fitted(*names, left=1.0, free=5, curve=False, reach=100.0):
         model = model + CURVE_EFFECT
     candidate = SimpleNamespace(model=model, free=free, effects=tuple(e.name for e in model.effects), laws=(), given=())
     square = np.full((2, 2), left**2)
-    none = np.zeros((2, 2, 0))
+    none = np.zeros(0)
+    slopes, curvature = np.zeros((2, 2, 0)), np.zeros((2, 2, 0, 0))
     judging, ranges = np.array([False, True]), np.full(2, reach)
-    sums = BlockSums(square, np.ones((2, 2)), none, np.zeros((2, 2, 0, 0)), none, none, 0, judging, ranges)
+    sums = BlockSums(square, np.ones((2, 2)), slopes, curvature, none, none, 0, judging, ranges)
     return FittedSet(candidate, sums)
 
 
@@ -202,6 +204,9 @@ def test_the_set_that_wins_most_often_is_the_answer_unless_a_curve_wins():
     assert find_named_winner(draws((friction, 3), (damping, 5), (curve, 2), PLAIN), plain) is damping.candidate
     # The plain model is a set like any other.
     assert find_named_winner(draws((friction, 1), (PLAIN[0], 9)), plain) is plain
+    # A curve takes no place, nor leaves any to the plain model that it beats: what has a name is drawn again without it.
+    assert find_named_winner(draws((friction, 0), (curve, 9), PLAIN), plain) is friction.candidate
+    assert find_named_winner(draws((curve, 10)), plain) is plain
 
 
 def test_a_curve_beside_an_effect_supports_its_place_and_denies_its_name():
@@ -286,6 +291,26 @@ def test_what_does_the_same_in_the_place_of_an_effect_is_its_equal():
     richer = weigh_claims(Draws(both.sets, both.errors, good, both.winner), (), (), 0.0)
     assert name_claim(richer, "coulomb_friction").is_established
     assert name_claim(richer, "coulomb_friction").equals == ("quadratic_damping",)
+
+
+@pytest.mark.parametrize(("more", "is_certain"), [(0, False), (1, True)])
+def test_one_effect_that_contains_another_does_the_same_as_that_one_and_a_third(more, is_certain):
+    """|F1| for v > 0 and |F2| for v < 0 is (F1 + F2)/2 sign(v) and a load of (F1 - F2)/2: one equation, as many constants."""
+    pair = draws((fitted("coulomb_friction", "constant_load"), 10), (fitted("asymmetric_friction"), 0), PLAIN)
+    good = np.zeros_like(pair.good)
+    good[:, :2] = True
+    pair.sets[1].candidate.free = pair.sets[0].candidate.free + more
+    claims = weigh_claims(Draws(pair.sets, pair.errors, good, pair.winner), (), (), 0.0)
+    load, friction = (name_claim(claims, name) for name in ("constant_load", "coulomb_friction"))
+    assert load.equals == ("asymmetric_friction",) and load.is_established is is_certain
+    # Friction is in both of them.
+    assert friction.equals == () and friction.is_established
+    assert list_tied_sets(claims, ["coulomb_friction", "constant_load"]) == [("asymmetric_friction",)]
+
+
+@pytest.mark.parametrize(("other", "are"), [("stribeck_friction_at_q2", True), ("stribeck_friction_at_q1", False)])
+def test_effects_are_related_at_one_place(other, are):
+    assert _are_related("coulomb_friction_at_q2", other) is _are_related(other, "coulomb_friction_at_q2") is are
 
 
 ONLY_NOISE, MORE = Decision(True, ()), Decision(False, ())

@@ -154,7 +154,8 @@ def test_an_effect_of_the_estimation_record_alone_is_no_answer(monkeypatch):
     assert found.best.parameters["gain"].value == found.base.parameters["gain"].value
     error = found.holdout["y"]
     assert error.after == error.before
-    assert not with_code(found.conclusion, DiscoveryCode.NEAREST_LOOK_ALIKE)  # nothing is said to be like it
+    (tried,) = with_code(found.conclusion, DiscoveryCode.NO_LOOK_ALIKE)
+    assert "sensor_drift" in tried.subject
     assert "takes" not in str(found).partition("candidate ")[0].replace("takes away", "")
     assert any("sensor_drift" in rank.effects for rank in found.ranking)  # what was tried is told
 
