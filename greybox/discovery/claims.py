@@ -474,10 +474,10 @@ class _Context:
         claim = replace(claim, probability=weigh_claim(claim))
         if depth < Depth.NAME or shown is None:
             return claim
-        equal_sets = self._equals(best, shown)
-        equals = tuple(dict.fromkeys(equal_sets.values()))
+        equal_sets, same = self._equals(best, shown), _list_same_equations(self.forms[best], shown)
+        equals = tuple(dict.fromkeys((*equal_sets.values(), *same)))
         free = [s.candidate.free for s in self.draws.sets]
-        has_twin = any(free[k] <= free[best] for k in equal_sets)
+        has_twin = bool(same) or any(free[k] <= free[best] for k in equal_sets)
         either = [h or any(f.name in equals for f in forms) for h, forms in zip(holds, self.forms, strict=True)]
         return replace(
             claim,
@@ -487,27 +487,21 @@ class _Context:
         )
 
     def _equals(self, best: int, form: EffectForm) -> dict[int, str]:
-        """The effects, no relatives, with which a set that is good does without this one, as often as not, by the set's number.
-
-        One that contains others of the set stands for these as well: friction of two levels does what friction of one and a load do.
-        """
-        names = Counter(f.name for f in self.forms[best])
+        """The effects, no relatives, with which a set that is good does without this one, as often as not, by the set's number."""
+        rest = Counter(f.name for f in self.forms[best]) - Counter([form.name])
         rounds = self.draws.good[:, best]
         equals = {}
         for k, forms in enumerate(self.forms):
-            other_names = Counter(f.name for f in forms)
-            added, removed = list((other_names - names).elements()), list((names - other_names).elements())
-            if len(added) != 1 or form.name not in removed or not added[0] or _are_related(added[0], form.name):
-                continue
-            removed.remove(form.name)
-            if not all(_are_related(added[0], name) for name in removed):
+            others = list((Counter(f.name for f in forms) - rest).elements())
+            is_exchange = len(forms) == len(self.forms[best]) and len(others) == 1
+            if not is_exchange or not others[0] or _are_related(others[0], form.name):
                 continue
             # A law of more constants does what one of fewer does: that is no objection.
             sets = self.draws.sets
             if sets[k].candidate.laws and sets[k].candidate.free > sets[best].candidate.free:
                 continue
             if float(self.draws.good[rounds, k].mean()) >= EQUAL_FREQUENCY:
-                equals[k] = added[0]
+                equals[k] = others[0]
         return equals
 
     def _form(self, value: Hashable, depth: Depth) -> str:
@@ -545,6 +539,16 @@ def _are_related(one: str, other: str) -> bool:
     (base, _, place), (other_base, _, other_place) = one.partition(AT), other.partition(AT)
     is_one_simpler = base in _list_simpler(other_base) or other_base in _list_simpler(base)
     return place == other_place and (base == other_base or is_one_simpler)
+
+
+def _list_same_equations(forms: Sequence[EffectForm], form: EffectForm) -> list[str]:
+    """Effects of the catalogue that are the same equation as one of a set together with others of it: no fit is needed to know that."""
+    names = {f.name for f in forms}
+    _, at, place = form.name.partition(AT)
+    twins = {e.name + at + place: {other + at + place for other in e.stands_for} for e in all_effects() if e.stands_for}
+    return [
+        twin for twin, others in twins.items() if form.name in others <= names and not _are_related(twin, form.name)
+    ]
 
 
 @lru_cache(maxsize=256)

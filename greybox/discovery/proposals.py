@@ -21,6 +21,8 @@ from greybox.discovery.residual_noise import INDEPENDENT_SOURCES
 from greybox.discovery.surrogate import Surrogate
 from greybox.estimation.findings import FAR_NOISE_RATIO
 from greybox.estimation.result import Fit
+from greybox.model.effects.catalogue import all_effects
+from greybox.model.effects.placement import AT
 
 
 def propose_next_steps(
@@ -74,7 +76,11 @@ def explain_doubt(claim: Claim) -> Finding | None:
     rival = claim.equals[0] if claim.equals else _other_effect(claim)
     if not rival:
         return None
-    return Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=claim.name, values={"rival": rival})
+    # Of what is one equation no record shows more: only a change of the rig does.
+    twin = next((e for e in all_effects() if e.name == rival.partition(AT)[0]), None)
+    is_same = twin is not None and claim.name.partition(AT)[0] in twin.stands_for
+    values = {"rival": rival, "advice": twin.tells_apart if twin is not None and is_same else ""}
+    return Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=claim.name, values=values)
 
 
 def _other_effect(claim: Claim) -> str:

@@ -293,19 +293,17 @@ def test_what_does_the_same_in_the_place_of_an_effect_is_its_equal():
     assert name_claim(richer, "coulomb_friction").equals == ("quadratic_damping",)
 
 
-@pytest.mark.parametrize(("more", "is_certain"), [(0, False), (1, True)])
-def test_one_effect_that_contains_another_does_the_same_as_that_one_and_a_third(more, is_certain):
-    """|F1| for v > 0 and |F2| for v < 0 is (F1 + F2)/2 sign(v) and a load of (F1 - F2)/2: one equation, as many constants."""
-    pair = draws((fitted("coulomb_friction", "constant_load"), 10), (fitted("asymmetric_friction"), 0), PLAIN)
-    good = np.zeros_like(pair.good)
-    good[:, :2] = True
-    pair.sets[1].candidate.free = pair.sets[0].candidate.free + more
-    claims = weigh_claims(Draws(pair.sets, pair.errors, good, pair.winner), (), (), 0.0)
+def test_one_effect_that_is_the_equation_of_two_is_told_beside_them():
+    """-Fp for v > 0 and +Fm for v < 0 is (Fp + Fm)/2 sign(v) and a load of (Fp - Fm)/2, as many constants."""
+    claims = claims_of((fitted("coulomb_friction", "constant_load"), 10))
     load, friction = (name_claim(claims, name) for name in ("constant_load", "coulomb_friction"))
-    assert load.equals == ("asymmetric_friction",) and load.is_established is is_certain
+    assert load.equals == ("asymmetric_friction",) and load.grade is Grade.PROBABLE
     # Friction is in both of them.
     assert friction.equals == () and friction.is_established
     assert list_tied_sets(claims, ["coulomb_friction", "constant_load"]) == [("asymmetric_friction",)]
+    # A load beside something else is a load.
+    alone = name_claim(claims_of((fitted("cubic_stiffness", "constant_load"), 10)), "constant_load")
+    assert alone.equals == () and alone.is_established
 
 
 @pytest.mark.parametrize(("other", "are"), [("stribeck_friction_at_q2", True), ("stribeck_friction_at_q1", False)])

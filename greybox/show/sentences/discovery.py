@@ -612,7 +612,9 @@ register(
         DiscoveryCode.CANDIDATE_NOT_SIMULATED: "the model with it cannot be simulated from any starting point",
         # What to do next.
         DiscoveryCode.SEPARATE_FROM_RIVAL: lambda f: (
-            f"record an experiment in which {effect_title(f.subject)} and {effect_title(f.values['rival'])} differ (another amplitude,"
+            f"no record tells {effect_title(f.subject)} from {effect_title(f.values['rival'])}: {f.values['advice']}"
+            if f.values["advice"]
+            else f"record an experiment in which {effect_title(f.subject)} and {effect_title(f.values['rival'])} differ (another amplitude,"
             " speed or direction; `greybox design` with `--goal discrimination` plans it): these records do not separate them"
         ),
         DiscoveryCode.CONFIRM_ON_ANOTHER_RECORD: "continue with the extended model, and confirm it on a record with another amplitude or"
