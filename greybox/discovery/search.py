@@ -7,10 +7,9 @@ relatives of those that lead and the leader without each of its parts, and puts 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
-from itertools import combinations
 
 import numpy as np
 
@@ -125,6 +124,8 @@ class EffectSearch:
         Called with a line about each step.
     further
         Whether the search goes on where only noise is left.
+    left_out
+        Effects on the table that are none of its candidates: a set with one of them is not read.
     """
 
     problem: DiscoveryProblem
@@ -134,6 +135,7 @@ class EffectSearch:
     policy: DiscoveryPolicy
     on_message: MessageCallback
     further: bool = False
+    left_out: frozenset[str] = frozenset()
     baseline: FittedCandidate = field(init=False)
     steps: list[SelectionStep] = field(init=False, default_factory=list)
     _screened: set[tuple[SetKey, str]] = field(init=False, default_factory=set)
@@ -166,7 +168,7 @@ class EffectSearch:
 
     def draw(self, resamples: int = ROUND_RESAMPLES, always: Sequence[FittedCandidate] = ()) -> Draws:
         """What resampling says of the table."""
-        return self.table.draw(self.table.leading((self.baseline, *always)), resamples)
+        return self.table.draw(self.table.leading((self.baseline, *always), self._is_own), resamples)
 
     def find_winner(self, draws: Draws | None = None) -> FittedCandidate:
         """The set that wins most often of those with names, and the plain model: a curve that wins takes no place."""
@@ -176,7 +178,11 @@ class EffectSearch:
     def _best(self, most: int) -> list[FittedCandidate]:
         """The sets that leave least."""
         named = [c for c in self.table.candidates if c.effects and not any(map(is_shape_correction, c.effects))]
-        return named[:most]
+        return [c for c in named if self._is_own(c)][:most]
+
+    def _is_own(self, fit: FittedCandidate) -> bool:
+        """Whether a set on the table holds nothing that this search leaves out."""
+        return not self.left_out.intersection(fit.effects)
 
     def _list_bases(self, winner: FittedCandidate) -> list[FittedCandidate]:
         """The sets beside which effects are screened: the winner, what it is without each part, and the best of other families."""
@@ -399,30 +405,18 @@ class EffectSearch:
         rests = [self.table.get(set(chosen.effects) - {name}) for name in chosen.effects]
         self._add_promising([rest for rest in rests if rest is not None])
 
-    def add_beside(self, base: FittedCandidate, effect: Effect) -> FittedCandidate | None:
-        """A set with one effect more, refitted to the end, on the table; the one that is there already; None where it cannot be fitted."""
-        wanted = {*base.effects, effect.name}
-        if self.table.get(wanted) is None:
-
-            def plan() -> RefitJob:
-                model = base.model + effect
-                starts = list(generate_starting_points(model, effect, base, base.model, self.scales, AMPLITUDE_GRID))
-                return self.problem.plan_refit(model, starts, 2, LOOK_ITERATIONS, base, refines=False)
-
-            job = self.problem.failures.attempt(SearchStage.PREPARATION, tuple(wanted), plan, None)
-            self._add_each([] if job is None else [(base, job)])
-        return self.table.get(wanted)
-
     def add_usual(self) -> None:
-        """Pairs of the effects that such rigs usually have: a set that nobody fitted cannot come first."""
-        singles = [fit for name in self.expected if (fit := self.table.get({name})) is not None]
-        ranked = sorted(singles, key=lambda fit: fit.cost)
-        pairs = [(a, b) for a, b in combinations(ranked, 2) if self._root(a.effects[0]) != self._root(b.effects[0])][
-            :MOST_PAIRS
-        ]
-        for first, second in pairs:
-            if (effect := self._find(second.effects[0])) is not None:
-                self.add_beside(first, effect)
+        """The same search among the effects that such rigs usually have alone: a set that nobody fitted cannot come first."""
+        expected = set(self.expected)
+        candidates = [e for e in self.candidates if e.name in expected]
+        left_out = frozenset(e.name for e in self.candidates) - expected
+        usual = replace(self, candidates=candidates, left_out=left_out, on_message=lambda _: None)
+        usual.baseline = self.baseline
+        # Each of them is on the table already.
+        usual._screened = {(key_of(self.baseline), name) for name in expected if self.table.get({name})}
+        usual._shapes = self._shapes
+        if usual.candidates:
+            usual.run()
 
     # Families and steps
 
@@ -445,10 +439,6 @@ class EffectSearch:
             values = {"before": before.noise_ratio, "after": shown.noise_ratio, "bounded": shown.is_noise_bounded}
             code = DiscoveryCode.FURTHER_EFFECT if before.effects else DiscoveryCode.FIRST_EFFECT
             self.on_message(str(Finding(code, subject=names, values=values)))
-
-
-# Pairs of usual effects that are fitted.
-MOST_PAIRS = 6
 
 
 def find_named_winner(draws: Draws, plain: FittedCandidate) -> FittedCandidate:

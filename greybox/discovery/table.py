@@ -9,7 +9,7 @@ the raw weight of a claim (stability selection: N. Meinshausen, P. Buehlmann 201
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -201,13 +201,16 @@ class FitTable:
         """The fits, those that leave least first."""
         return tuple(sorted(self._sets.values(), key=lambda fit: fit.noise_ratio))
 
-    def leading(self, always: Sequence[FittedCandidate]) -> list[FittedCandidate]:
+    def leading(
+        self, always: Sequence[FittedCandidate], is_meant: Callable[[FittedCandidate], bool] = lambda _: True
+    ) -> list[FittedCandidate]:
         """Those that take part in the draws; some ``always`` do, and so does every part of one that takes part.
 
-        What an effect takes of the error is the difference from the set without it.
+        What an effect takes of the error is the difference from the set without it. ``is_meant`` says which are considered at all.
         """
-        least = min((fit.noise_ratio for fit in self.candidates), default=0.0)
-        near = {key_of(fit) for fit in self.candidates if fit.noise_ratio <= NEAR_RATIO * least}
+        meant = [fit for fit in self.candidates if is_meant(fit)]
+        least = min((fit.noise_ratio for fit in meant), default=0.0)
+        near = {key_of(fit) for fit in meant if fit.noise_ratio <= NEAR_RATIO * least}
         near |= {key_of(fit) for fit in always}
         taking_part = [fit for fit in self.candidates if any(key_of(fit) <= key for key in near)]
         kept = {key_of(fit) for fit in (*taking_part[:MOST_SETS], *always)}
