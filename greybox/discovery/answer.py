@@ -35,6 +35,7 @@ from greybox.discovery.residual_noise import (
 from greybox.discovery.search import AUTOCORRELATION_LAGS, EffectSearch
 from greybox.estimation import Fit
 from greybox.model import Effect
+from greybox.model.parts import read_parts
 
 
 @dataclass(frozen=True)
@@ -124,8 +125,10 @@ class SearchAnswer:
 
     @property
     def named(self) -> list[str]:
-        """Those that have a name, without curves that correct them, as they are called in claims."""
-        return [claimed_name(e) for e in self.added if not is_shape_correction(e.name)]
+        """Those that have a name, without curves that correct them, as they are called in claims; what such rigs usually have first."""
+        parts = read_parts(self.base.model)
+        named = [e for e in self.added if not is_shape_correction(e.name)]
+        return [claimed_name(e) for e in sorted(named, key=lambda e: -parts.occurrence(e).probability)]
 
     @cached_property
     def noise_limits(self) -> dict[str, float]:

@@ -25,6 +25,7 @@ from greybox.discovery.search import SelectionStep
 from greybox.discovery.surrogate import Surrogate, find_missing_sites
 from greybox.estimation import Estimate, Fit, FitOptions
 from greybox.estimation.reading_errors import OF_INSTRUMENTS
+from greybox.model.parts import read_parts
 
 
 @dataclass(frozen=True)
@@ -308,11 +309,14 @@ class Discovery(Printable, StoredResult):
     def effects(self) -> list[FoundEffect]:
         """Name, site, parameters, grade, probability and share of each effect in the best model; none if the plain model is complete.
 
+        What is established comes first, and of what is as certain what such rigs usually have.
         A law has its ``equation``, its ``formula`` and the ``range`` in which it was seen as well.
         """
         laws = {law.name: law for law in self.laws}
         given = {effect.name for effect in self.base.model.effects}  # the user's own are not found by the search
         effects: list[FoundEffect] = []
+        parts, ranks = read_parts(self.base.model), list(Grade)
+        usual: dict[str, float] = {}
         for bound in self.best.model.bound_effects:
             if is_shape_correction(bound.effect.name) or bound.effect.name in given:
                 continue
@@ -344,8 +348,9 @@ class Discovery(Printable, StoredResult):
                 }
                 if law.memory:
                     entry["memory"] = law.memory
+            usual[bound.effect.name] = parts.occurrence(bound.effect).probability
             effects.append(entry)
-        return effects
+        return sorted(effects, key=lambda e: (ranks.index(e["grade"]), -usual[e["name"]]))
 
 
 def quote_test_error(result: Discovery, plain: Fit, answer: Fit) -> Discovery:

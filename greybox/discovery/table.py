@@ -82,6 +82,12 @@ class BlockSums:
     is_judging: np.ndarray
     reach: np.ndarray
 
+    @property
+    def judged_error(self) -> float:
+        """Error on the records that judge, with the constants that the fitted records gave: rms over the noise, all outputs together."""
+        squares, counts = (each[self.is_judging].sum(axis=0) for each in (self.square, self.count))
+        return float(np.sqrt(np.mean(squares[counts > 0] / counts[counts > 0])))
+
     def refit(self, drawn: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """The steps (R, n) to the optimum of each resample: ``drawn`` (R, B) counts its blocks, ``weight`` (ny,) its outputs."""
         n = len(self.low)

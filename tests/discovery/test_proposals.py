@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import greybox as gb
 from greybox.data.noise.noise_model import BoundDirection
 from greybox.discovery.claims import Claim, Depth
 from greybox.discovery.curve_shape import CurveShape, Dependence, ShapeKind
@@ -43,7 +44,12 @@ def test_an_experiment_is_asked_for_only_where_the_records_do_not_separate(equal
         assert step is None
     else:
         assert (step.code, step.subject) == (DiscoveryCode.SEPARATE_FROM_RIVAL, "cubic_damping")
-        assert dict(step.values) == {"rival": expected}
+        assert dict(step.values) == {"rival": expected, "advice": ""}
+
+
+def test_of_what_is_one_equation_only_a_change_of_the_rig_tells_more():
+    step = explain_doubt(Claim(Depth.NAME, "y", name="constant_load", equals=("asymmetric_friction",)))
+    assert step.values["advice"] == gb.effect("asymmetric_friction").tells_apart
 
 
 NONE = np.zeros(0)

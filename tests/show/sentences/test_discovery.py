@@ -461,7 +461,12 @@ FINDINGS = [
     ),
     (
         Code.SEPARATE_FROM_RIVAL,
-        *("input_offset", {"rival": "constant_load"}),
+        *("constant_load", {"rival": "asymmetric_friction", "advice": "Turn the rig over."}),
+        "no record tells constant load from asymmetric friction: Turn the rig over.",
+    ),
+    (
+        Code.SEPARATE_FROM_RIVAL,
+        *("input_offset", {"rival": "constant_load", "advice": ""}),
         "record an experiment in which input offset and constant load differ (another amplitude, speed or direction; `greybox design` with"
         " `--goal discrimination` plans it): these records do not separate them",
     ),
