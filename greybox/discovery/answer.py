@@ -110,7 +110,18 @@ class SearchAnswer:
     @cached_property
     def holdout(self) -> Mapping[str, HoldoutError]:
         """Error of both models on these, by output."""
-        return compare_holdout_errors(self.base, self.best)
+        return self.compare(self.base, self.best)
+
+    def compare(self, plain: Fit, best: Fit) -> dict[str, HoldoutError]:
+        """Errors of two validated fits, by output, beside the noise that is judged with: a fit of one's own may estimate another."""
+        errors = compare_holdout_errors(plain, best)
+        return {name: replace(error, floor=self.noise_std[name]) for name, error in errors.items()}
+
+    @property
+    def noise_std(self) -> Mapping[str, float]:
+        """The noise that is judged with, by output."""
+        noise = self.plain.problem.noise
+        return dict(zip(noise.outputs, map(float, noise.std), strict=True))
 
     @property
     def explained_fraction(self) -> float:
@@ -145,7 +156,7 @@ class SearchAnswer:
         return {
             name: math.hypot(
                 visible_rms_limit(misfit.samples, colours[name]),
-                math.sqrt(drift.get(name, 0.0)) / self.base.noise.std[name],
+                math.sqrt(drift.get(name, 0.0)) / self.noise_std[name],
             )
             for name, misfit in run.misfit.items()
         }

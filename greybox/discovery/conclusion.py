@@ -239,7 +239,7 @@ def _hold_against_test(answer: SearchAnswer, test: ValidationSet) -> SearchAnswe
     plain, best = (_run_on_test(problem, fit, test) for fit in (answer.base, answer.best))
     if plain is None or best is None or not answer.rest:
         return answer
-    errors = compare_holdout_errors(plain, best)
+    errors = answer.compare(plain, best)
     limits = answer.limit_noise(HoldoutScores(answer.scores.problem, test))
     on_test = judge_test(errors, limits, answer.search.policy.selection)
     if on_test:

@@ -304,10 +304,11 @@ def _judge_draws(sets: tuple[FittedSet, ...], squares: np.ndarray, left: np.ndar
     good = np.ones(errors.shape, bool)
     for behind in (relative, logarithm):
         good &= (_standard_errors(behind, left) <= GOOD_DEVIATIONS).T
-    # ...or of the same form: as many effects with a name, and hardly more error beside what they take.
+    # ...or of the same form: as many effects with a name, and hardly more error beside what those take in which they differ.
     named = np.array([sum(not is_shape_correction(name) for name in s.candidate.effects) for s in sets])
     average = (relative * left[None]).sum(axis=2) / np.maximum(left.sum(axis=1), 1)  # (S, R)
-    taken = np.where(named[best] > named.min(), average[named.argmin()], 0.0)
+    shared = {b: _find_shared(sets, b) for b in set(best.tolist())}
+    taken = np.where(named[best] > named.min(), np.array([average[shared[b], k] for k, b in enumerate(best)]).T, 0.0)
     # Of formulas there are dozens within that of each other: beside another one a law leaves no more that could be seen.
     laws = [s.candidate.laws for s in sets]
     is_same = np.array([[not law or law == laws[b] for b in best] for law in laws])
@@ -318,6 +319,14 @@ def _judge_draws(sets: tuple[FittedSet, ...], squares: np.ndarray, left: np.ndar
     # Fewest constants; of as many, the one that leaves least.
     ranked = np.where(good, free[None] + errors / (1 + np.abs(errors).max()) / 2, np.inf)
     return Draws(sets, errors, good, ranked.argmin(axis=1))
+
+
+def _find_shared(sets: Sequence[FittedSet], best: int) -> list[int]:
+    """For each set the one that holds what it has in common with the best, and no more; the largest part of that which is there."""
+    names = [set(s.candidate.effects) for s in sets]
+    common = [each & names[best] for each in names]
+    parts = sorted(range(len(sets)), key=lambda k: -len(names[k]))
+    return [next((k for k in parts if names[k] <= each and k != best), parts[-1]) for each in common]
 
 
 def _standard_errors(behind: np.ndarray, left: np.ndarray) -> np.ndarray:
