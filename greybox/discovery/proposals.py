@@ -21,8 +21,7 @@ from greybox.discovery.residual_noise import INDEPENDENT_SOURCES
 from greybox.discovery.surrogate import Surrogate
 from greybox.estimation.findings import FAR_NOISE_RATIO
 from greybox.estimation.result import Fit
-from greybox.model.effects.catalogue import all_effects
-from greybox.model.effects.placement import AT
+from greybox.model.effects.catalogue import AT, all_effects
 
 
 def propose_next_steps(
