@@ -12,6 +12,7 @@ import numpy as np
 from greybox.base import DataError, Finding, shorten
 from greybox.data.columns import (
     DECIMAL_COMMA,
+    GAPS,
     THOUSANDS,
     check_size,
     check_width,
@@ -193,9 +194,9 @@ def _to_column(
         problems.append(describe_non_numbers(header, bad, [str(array[k])[:200] for k in bad[:5]], labels))
     elif array.dtype.kind in "OUS":
         values = read_cells(array)
-        if None not in values:
-            return np.array(values, dtype=np.float64)
-        problems.append(describe_cells(header, array, labels))
+        if None in values:
+            problems.append(describe_cells(header, array, labels))
+        return np.array(values, dtype=np.float64)  # None becomes NaN
     else:
         problems.append(f"column {header!r} holds {array.dtype}, not real numbers; write numbers (time in seconds)")
     return np.zeros(0)
@@ -226,7 +227,13 @@ def read_cells(cells: Sequence[Any] | np.ndarray) -> list[float | None]:
         if isinstance(cell, str):
             text = cell.strip()
             text = text.replace(",", ".") if is_decimal and DECIMAL_COMMA.fullmatch(text) else text
-            return float("nan") if not text else float(text) if _NUMBER.fullmatch(text) else None
+            return (
+                float("nan")
+                if text in GAPS or text.lower() == "nan"
+                else float(text)
+                if _NUMBER.fullmatch(text)
+                else None
+            )
         return float(cell) if isinstance(cell, (int, float, np.number)) and not isinstance(cell, complex) else None
 
     return [read(cell) for cell in cells]

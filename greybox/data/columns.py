@@ -106,6 +106,10 @@ def describe_wrong_count(names: Sequence[str], columns: int) -> str:
     )
 
 
+# What stands in a field where nothing was measured, besides nan in any spelling.
+GAPS = ("", "NA", "N/A", "#N/A", "n/a", "null", "NULL", "None")
+
+
 def describe_non_numbers(
     header: str, rows: Sequence[int], texts: Sequence[str], labels: RowLabels, separator: str = ""
 ) -> str:
@@ -171,13 +175,14 @@ class ColumnChoice:
 class ColumnMatch:
     """Signals with their columns in the model's order, headers not asked for, outputs without a column, problems.
 
+    ``unmeasured``: output -> header of the spare column that its unit fits, "" where there is none or several.
     ``conversions`` turn the numbers of a column into the model's unit; ``unit_problems`` say where no unit is known.
     """
 
     columns: Mapping[RequestedSignal, Column]
     conversions: Mapping[RequestedSignal, Conversion]
     ignored: tuple[str, ...]
-    unmeasured: tuple[str, ...]
+    unmeasured: Mapping[str, str]
     problems: tuple[str, ...]
     unit_problems: tuple[str, ...]
 
@@ -360,7 +365,11 @@ def match_columns(
         matched,
         conversions,
         tuple(shorten(c.header) for c in spare),
-        tuple(s.name for s in missing if s.kind is SignalKind.OUTPUT),
+        {
+            s.name: next((shorten(c.header) for c in _find_called(s, spare) or _find_of_unit(s, spare)), "")
+            for s in missing
+            if s.kind is SignalKind.OUTPUT
+        },
         tuple(problems),
         tuple(doubts),
     )

@@ -520,7 +520,10 @@ def _cut_runs(
 def _inspect_columns(match: ColumnMatch) -> list[Finding]:
     findings = []
     if match.unmeasured:
-        findings.append(Finding(RecordCode.OUTPUT_NOT_MEASURED, values={"outputs": list(match.unmeasured)}))
+        likely = {name: header for name, header in match.unmeasured.items() if header}
+        severity = Severity.WARNING if likely else Severity.NOTE
+        values = {"outputs": list(match.unmeasured), **({"columns": likely} if likely else {})}
+        findings.append(Finding(RecordCode.OUTPUT_NOT_MEASURED, severity, values=values))
     if units_read := match.describe_units():
         findings.append(Finding(RecordCode.UNITS_READ, values={"columns": units_read}))
     if match.unitless:

@@ -202,6 +202,11 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, rena
                 stamps[k] = values.stamps[k]
             elif not values.problems:
                 arrays[k] = values.arrays[k]
+            elif (count := int(np.isfinite(values.arrays[k]).sum())) > len(values.arrays[k]) / 2:
+                # Numbers with some text among them: shown for what they are, and not passed over as remarks.
+                arrays[k] = values.arrays[k]
+                about = {"count": count, "rows": len(arrays[k]), "reason": values.problems[0]}
+                findings.append(Finding(RecordCode.COLUMN_WITH_TEXT, Severity.WARNING, columns[k].header, about))
     rows = max((len(a) for a in arrays.values()), default=0)
     time: np.ndarray | None = None
     if clock is not None and clock.position in arrays:

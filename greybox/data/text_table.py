@@ -18,14 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from greybox.base import DataError, shorten
-from greybox.data.columns import check_size, check_width, describe_non_numbers, describe_wrong_count
+from greybox.data.columns import GAPS, check_size, check_width, describe_non_numbers, describe_wrong_count
 from greybox.data.headers import join_units
 from greybox.data.notation import is_notation
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
 from greybox.data.stamps import StampReader, Stamps, is_stamp
 
-GAPS = ("", "NA", "N/A", "#N/A", "n/a", "null", "NULL", "None")  # besides nan in any spelling
 NO_NUMBER = "?"
 BLANKS = ""  # separator: any run of blanks
 SEPARATORS = (";", "\t", ",", BLANKS)
@@ -110,7 +109,7 @@ class TextTable:
         first, *others = (self._read(positions, decimal) for decimal in self._decimals())
         columns, ragged, bad = min([first, *others], key=lambda reading: sum(map(len, reading[2].values())))
         if ragged:
-            return columns, [self._describe_ragged(ragged)]
+            return {k: np.zeros(0) for k in positions}, [self._describe_ragged(ragged)]
         wrong = ((self.headers[k], list(texts), list(texts.values())) for k, texts in bad.items() if texts)
         return columns, [
             describe_non_numbers(header, rows, texts, self.row_labels, self.separator) for header, rows, texts in wrong

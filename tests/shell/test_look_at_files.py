@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pytest
 from click.testing import CliRunner
 
+from greybox.data.findings import RecordCode
+from greybox.data.survey import survey_file
 from greybox.shell.commands import app
 
 
@@ -70,3 +73,72 @@ def test_columns_are_named_where_a_file_is_looked_at(tmp_path, monkeypatch) -> N
     assert "--column time=Zeit --column 'v [percent]'=Ventil --column 'T [degC]'=Temp" in words
     unknown = run("check", "odd.csv", "--column", "x=Tmp")
     assert unknown.exit_code == 2 and "odd.csv: no column 'Tmp' for x; did you mean 'Temp'?" in unknown.stderr
+
+
+@pytest.mark.parametrize("word", ["----", "OVL", "err 12", "<0.01"])
+@pytest.mark.parametrize("suffix", [".csv", ".xlsx", ".parquet"])
+def test_a_column_of_numbers_with_some_text_is_said_with_its_cells_and_the_remedy(tmp_path, word, suffix):
+    readings: list[object] = [round(0.1 * k, 2) for k in range(40)]
+    readings[7] = readings[20] = word
+    columns = {"time [s]": [0.5 * k for k in range(40)], "x [m]": readings, "remark": [word, *[""] * 39]}
+    file = tmp_path / f"log{suffix}"
+    if suffix == ".parquet":
+        texts = {h: list(map(str, c)) if h != "time [s]" else c for h, c in columns.items()}
+        pq = pytest.importorskip("pyarrow.parquet")
+        pq.write_table(pytest.importorskip("pyarrow").table(texts), file)
+    elif suffix == ".xlsx":
+        book = pytest.importorskip("openpyxl").Workbook()
+        for row in (list(columns), *zip(*columns.values(), strict=True)):
+            book.active.append(row)
+        book.save(file)
+    else:
+        rows = [",".join(map(str, row)) for row in zip(*columns.values(), strict=True)]
+        file.write_text("\n".join([",".join(columns), *rows]) + "\n")
+    survey = survey_file(file)
+    said = [f for f in survey.findings if f.code == RecordCode.COLUMN_WITH_TEXT]
+    assert [(f.subject, f.values["count"], f.values["rows"]) for f in said] == [("x [m]", 38, 40)]
+    assert word in said[0].values["reason"] and "leave the field empty" in said[0].values["reason"]
+    signal = next(s for s in survey.signals if s.header == "x [m]")
+    assert (signal.use, signal.missing, signal.highest) == ("output", 2, 3.9)
+
+
+MOTOR = """
+from greybox import Balance, Input, Model, Output, Parameter, State
+
+motor = Model(
+    "motor",
+    [State("i", "A"), State("w", "rad/s")],
+    [Input("u", "V")],
+    [Output("i", "A"), Output("w", "rad/s")],
+    [Parameter("L", "H", 0.01, (1e-4, 1.0)), Parameter("R", "ohm", 1.0, (0.1, 10.0)), Parameter("K", "N*m/A", 0.1, (0.01, 1.0)),
+     Parameter("J", "kg*m^2", 0.01, (1e-4, 1.0))],
+    lambda x, u, p: [
+        Balance("winding", "V", p.L, "i", drive=u.u, loss=-p.R * x.i, back=-p.K * x.w),
+        Balance("shaft", "N*m", p.J, "w", motor=p.K * x.i),
+    ],
+)
+"""
+
+
+@pytest.mark.parametrize(
+    ("others", "offered"),
+    [({"speed [1/min]": 60.0}, "speed [1/min]"), ({"a [1/min]": 1.0, "b [rpm]": 2.0}, ""), ({"temp [degC]": 20.0}, "")],
+)
+def test_a_column_whose_unit_fits_an_output_without_one_is_offered_by_name(tmp_path, others, offered):
+    (tmp_path / "motor.py").write_text(MOTOR)
+    time = 0.01 * np.arange(60)
+    columns = {"time [s]": time, "u [V]": np.sign(np.sin(9 * time)), "i [A]": np.sin(time)}
+    columns |= {h: v * np.cos(time) for h, v in others.items()}
+    table = np.column_stack(list(columns.values()))
+    rows = [",".join(f"{v:.6g}" for v in row) for row in table.tolist()]
+    (tmp_path / "log.csv").write_text("\n".join([",".join(columns), *rows]) + "\n")
+    from greybox.data.read import read_csv
+    from greybox.shell.project import find_model
+
+    record = read_csv(tmp_path / "log.csv", find_model(str(tmp_path / "motor.py")))
+    said = next(f for f in record.findings if f.code == RecordCode.OUTPUT_NOT_MEASURED)
+    assert said.values.get("columns", {}) == ({"w": offered} if offered else {})
+    assert ("--column 'w=speed [1/min]'" in str(said)) == bool(offered)
+    if offered:
+        again = read_csv(tmp_path / "log.csv", find_model(str(tmp_path / "motor.py")), columns={"w": offered})
+        np.testing.assert_allclose(again.outputs["w"], 60 * 2 * np.pi / 60 * np.cos(time), rtol=1e-5)

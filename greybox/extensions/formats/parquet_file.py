@@ -13,7 +13,7 @@ from typing import IO, Any
 import numpy as np
 
 from greybox.base import DataError, nearest
-from greybox.data.array_table import ArrayInfo, ArrayTable
+from greybox.data.array_table import ArrayInfo, ArrayTable, read_cells
 from greybox.data.columns import check_width
 from greybox.data.file_kinds import FileFormat, RecordFile
 from greybox.data.policy import READING_POLICY, ReadingPolicy
@@ -45,16 +45,17 @@ def _inspect_columns(file: Any, policy: ReadingPolicy) -> dict[str, ArrayInfo]:
     for column in file.schema_arrow:
         # A column without any value has the type null: gaps alone.
         numeric = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, types.is_null)
-        dated = None
+        dated, is_number = None, False
         if types.is_temporal(column.type) or _is_text(column.type):
-            # A text may be a date, which its first value shows.
+            # A text may be a date or a number, which its first value shows.
             first = next(file.iter_batches(1, columns=[column.name], use_threads=False), None)
             example = (
                 first.column(0).to_pylist()[0] if first is not None and len(first) and _is_text(column.type) else None
             )
             if types.is_temporal(column.type) or is_stamp(example):
                 dated = ":" in example if isinstance(example, str) else not types.is_date(column.type)
-        readable = dated is not None or any(is_kind(column.type) for is_kind in numeric)
+            is_number = isinstance(example, str) and dated is None and read_cells([example]) != [None]
+        readable = dated is not None or is_number or any(is_kind(column.type) for is_kind in numeric)
         kind = "text" if _is_text(column.type) else str(column.type)
         infos[column.name] = ArrayInfo((rows,), "" if readable else kind, dated)
     return infos

@@ -170,7 +170,13 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     " not: they were taken regularly and stamped late or early. Leave the time out and give the step (shell: '-' in its place in --columns,"
     " and --sampling-time SECONDS), or each error of a stamp counts as motion",
     RecordCode.PIECES_LEFT_OUT: _pieces_left_out,
-    RecordCode.OUTPUT_NOT_MEASURED: lambda f: f"not measured: output {' and '.join(map(repr, f.values['outputs']))}",
+    RecordCode.OUTPUT_NOT_MEASURED: lambda f: (
+        f"not measured: output {' and '.join(map(repr, f.values['outputs']))}"
+        + "".join(
+            f"; is {header!r} {name}, whose unit it has? (shell: --column {to_word(f'{name}={header}')})"
+            for name, header in f.values.get("columns", {}).items()
+        )
+    ),
     RecordCode.UNITS_ASSUMED: lambda f: (
         f"the header gives no unit for {', '.join(f.values['units'])}: {', '.join(f.values['units'].values())} assumed"
     ),
@@ -190,6 +196,9 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.ONE_OF_RUNS: "one of {runs} runs in its file: time restarts with each run",
     RecordCode.RESAMPLED: "resampled to every {sampling_time:.6g} s from {rows} rows",
     RecordCode.NO_TIME: "no column is called time or t: name it (--column time=HEADER), or give the step (--sampling-time SECONDS)",
+    RecordCode.COLUMN_WITH_TEXT: lambda f: (
+        f"{f.subject}: {f.values['count']} of {f.values['rows']} fields are numbers and the others are refused: {f.values['reason']}"
+    ),
     RecordCode.TIME_UNUSABLE: lambda f: f"{f.subject + ': ' if f.subject else ''}{f.values['reason']}",
     RecordCode.BROUGHT_TO_ONE_TIME: _brought_to_one_time,
     RecordCode.CLOCK_OFFSET: _clock_offset,

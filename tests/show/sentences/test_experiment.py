@@ -17,6 +17,11 @@ GOLDEN = {
         {},
         "no column is called time or t: name it (--column time=HEADER), or give the step (--sampling-time SECONDS)",
     ),
+    RecordCode.COLUMN_WITH_TEXT: (
+        "x [m]",
+        {"count": 299, "rows": 300, "reason": "column 'x [m]', row 9: '--' is not a number; leave it empty"},
+        "x [m]: 299 of 300 fields are numbers and the others are refused: column 'x [m]', row 9: '--' is not a number; leave it empty",
+    ),
     RecordCode.TIME_UNUSABLE: ("u [V]", {"reason": "time is repeated"}, "u [V]: time is repeated"),
     RecordCode.BROUGHT_TO_ONE_TIME: (
         "",
@@ -199,7 +204,11 @@ GOLDEN = {
         {"pieces": [[0.3, 0.30075, 4]]},
         "excluded, too few rows between two gaps in time: 0.3 to 0.30075 s (4 rows)",
     ),
-    RecordCode.OUTPUT_NOT_MEASURED: ("", {"outputs": ["x", "i"]}, "not measured: output 'x' and 'i'"),
+    RecordCode.OUTPUT_NOT_MEASURED: (
+        "",
+        {"outputs": ["x", "w"], "columns": {"w": "speed [1/min]"}},
+        "not measured: output 'x' and 'w'; is 'speed [1/min]' w, whose unit it has? (shell: --column 'w=speed [1/min]')",
+    ),
     RecordCode.UNITS_ASSUMED: (
         "",
         {"units": {"time": "s", "x": "m"}},
