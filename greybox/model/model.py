@@ -534,7 +534,12 @@ class Model(Printable):
         with_ties = replace(model, ties=(*model.ties, *ties))
         for tie in ties:
             if tie.formula in with_ties.values:
-                with_ties = _narrow_bounds(with_ties, tie, known[tie.name])
+                # The model with the bounds of the one parameter that a tie's formula is narrowed to those of the tied one.
+                quantity = known[tie.name]
+                other = with_ties.parameter(tie.formula)
+                low, high = max(other.bounds[0], quantity.bounds[0]), min(other.bounds[1], quantity.bounds[1])
+                check_tied_value(tie, quantity, other.value)
+                with_ties = with_ties.bound(**{other.name: (low, high)})
             check_tied_value(tie, known[tie.name], with_ties.tied_values[tie.name])
         return with_ties
 
@@ -614,14 +619,6 @@ class Model(Printable):
     def __getstate__(self) -> dict[str, Any]:
         """The fields alone: a copy, here or in another process, writes out its own equations."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
-
-
-def _narrow_bounds(model: Model, tie: Tie, quantity: Parameter) -> Model:
-    """The model with the bounds of the one parameter that a tie's formula is narrowed to those of the tied one."""
-    other = model.parameter(tie.formula)
-    low, high = max(other.bounds[0], quantity.bounds[0]), min(other.bounds[1], quantity.bounds[1])
-    check_tied_value(tie, quantity, other.value)
-    return model.bound(**{other.name: (low, high)})
 
 
 def _pair(name: str, given: Any) -> tuple[float, float]:

@@ -112,7 +112,11 @@ def list_sites(
     states: Sequence[State], inputs: Sequence[Input], outputs: Sequence[Output], balances: Sequence[Balance]
 ) -> tuple[Site, ...]:
     """Every balance, input and output of a model as a site, in this order."""
-    labels = _short_labels([b.name for b in balances], {i.name for i in inputs} | {o.name for o in outputs})
+    names = [b.name for b in balances]
+    taken = {i.name for i in inputs} | {o.name for o in outputs}
+    short = {name: _KIND_OF_BALANCE.sub("", name) for name in names}
+    used = [*short.values(), *taken]
+    labels = {name: s if used.count(s) == 1 and (s == name or s not in names) else name for name, s in short.items()}
     by_name = {s.name: s for s in states}
     units_of = {i.name: i.unit for i in inputs} | {s.name: s.unit for s in states}
     motions = _find_motions(states, inputs, balances)
@@ -251,9 +255,3 @@ def _has_dimensions(unit: str, dimensions: Sequence[tuple[tuple[str, float], ...
 def _by_role(role: str, signals: Sequence[State | Input], alone: bool) -> str:
     names = [s.name for s in signals if s.role == role]
     return names[0] if alone and names else ""
-
-
-def _short_labels(names: Sequence[str], taken: set[str]) -> dict[str, str]:
-    short = {name: _KIND_OF_BALANCE.sub("", name) for name in names}
-    used = [*short.values(), *taken]
-    return {name: s if used.count(s) == 1 and (s == name or s not in names) else name for name, s in short.items()}

@@ -199,7 +199,9 @@ def hold_out(experiments: Sequence[Experiment], outputs: Sequence[str], inputs: 
     The inputs of a part stay, so that a run over the whole record reaches it with the state that it has there. Where no part can judge,
     such as behind a step that has settled, the records that a model is fitted to do.
     """
-    records = _shorten(experiments)
+    # The first rows of each record, SCANNED_ROWS in all.
+    share = min(1.0, SCANNED_ROWS / sum(e.rows for e in experiments))
+    records = tuple(e if share == 1 else e.window(0, max(2, int(share * e.rows))) for e in experiments)
     if len(records) > 1:
         thirds = [third.tolist() for third in np.array_split(np.arange(len(records)), min(3, len(records)))]
         return [
@@ -229,9 +231,3 @@ def _count(record: Experiment, output: str, rows: np.ndarray) -> int:
 def _with_readings(record: Experiment, rows: np.ndarray) -> Experiment:
     """The record with its readings in these ``rows`` (N,) alone."""
     return record.with_outputs({name: np.where(rows, y, np.nan) for name, y in record.outputs.items()})
-
-
-def _shorten(experiments: Sequence[Experiment]) -> tuple[Experiment, ...]:
-    """The first rows of each record, `SCANNED_ROWS` in all."""
-    share = min(1.0, SCANNED_ROWS / sum(e.rows for e in experiments))
-    return tuple(e if share == 1 else e.window(0, max(2, int(share * e.rows))) for e in experiments)

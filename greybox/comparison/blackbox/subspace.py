@@ -319,7 +319,15 @@ class _RecordProjection:
         y0, u0 = np.split(np.array(scaling.origins), [ny])
         y_size, u_size = np.split(np.array(scaling.sizes), [ny])
         parts = [((u - u0) / u_size, (y - y0) / y_size) for u, y in recorded]
-        horizon = _choose_horizon(parts, ny, nu, order)
+        rows = max((len(u) for u, _ in parts), default=0)
+        wanted = max(SUBSPACE_HORIZON, 2 * (order or 0) // ny + 2)
+        # Every projection has to be overdetermined.
+        most = (rows + 1) // (COLUMNS_PER_ROW * (2 * ny + 2 * nu) + 2)
+        if most < LEAST_HORIZON:
+            raise DataError(
+                f"{rows} rows without a gap are too few for {ny} outputs and {nu} inputs; give longer records"
+            )
+        horizon = min(wanted, most)
         observability, singular, columns = _project(parts, horizon, weight)
         return cls(inputs, outputs, step, scaling, parts, horizon, weight, observability, singular, columns)
 
@@ -421,16 +429,6 @@ SUBSPACE_HORIZON = 15
 LEAST_HORIZON = 3
 # Columns of the data matrices for each of their rows, at least: fewer and noise is projected as well.
 COLUMNS_PER_ROW = 3
-
-
-def _choose_horizon(parts: Sequence[tuple[np.ndarray, np.ndarray]], ny: int, nu: int, order: int | None) -> int:
-    rows = max((len(u) for u, _ in parts), default=0)
-    wanted = max(SUBSPACE_HORIZON, 2 * (order or 0) // ny + 2)
-    # Every projection has to be overdetermined.
-    most = (rows + 1) // (COLUMNS_PER_ROW * (2 * ny + 2 * nu) + 2)
-    if most < LEAST_HORIZON:
-        raise DataError(f"{rows} rows without a gap are too few for {ny} outputs and {nu} inputs; give longer records")
-    return min(wanted, most)
 
 
 def _project(

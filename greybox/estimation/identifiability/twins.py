@@ -81,7 +81,10 @@ def find_twins(problem: EstimationProblem) -> tuple[Twin, ...]:
     apart = _own_run(problem, v.with_values(dict(zip(v.names, base.tolist(), strict=True))))
     if not all(np.isfinite(y).any() for y in (r.y for r in apart.records)):
         return ()
-    coefficients = _coefficients(problem)
+    system, records = problem.model.system, problem.records
+    measured = np.any([np.isfinite(r.y).any(axis=0) for r in records], axis=0)
+    at_rest = not problem.variables.initial.free.any()
+    coefficients = _polynomials(system, tuple(np.flatnonzero(measured).tolist()), at_rest)
     roots = find_roots(coefficients, apart.variables, alike) if coefficients else _try_exchanges(apart, alike)
     everything, twins, is_open = list(range(len(base))), list[Twin](), None
     for root in roots:
@@ -215,13 +218,6 @@ def _polynomials(system: System, outputs: tuple[int, ...], at_rest: bool) -> Pol
     """What the ``outputs`` of a linear system show of its constants, as polynomials; None where there are no such formulas."""
     polynomials = transfer_function_coefficients(system, outputs, at_rest=at_rest) if system.linear else []
     return PolynomialValues.of(polynomials) if polynomials else None
-
-
-def _coefficients(problem: EstimationProblem) -> PolynomialValues | None:
-    system, records = problem.model.system, problem.records
-    measured = np.any([np.isfinite(r.y).any(axis=0) for r in records], axis=0)
-    at_rest = not problem.variables.initial.free.any()
-    return _polynomials(system, tuple(np.flatnonzero(measured).tolist()), at_rest)
 
 
 # Roots are searched for from so many random points, within this factor about the present values: a twin farther off lies where no record

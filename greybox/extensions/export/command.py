@@ -62,9 +62,16 @@ def export(study: ExportStudy) -> Answer:
     result = load_fit_with_model(Path(study.source), study.model)
     name = to_identifier(result.model.name)
     ending = kind.ending or (f"_observer{kind.suffix}" if study.observer else kind.suffix)
-    target = _target(
-        study.output or Path("results") / f"{name}-export" / f"{name}{ending}", study.to, kind, study.source
-    )
+    # With the suffix of its kind, unless it cannot be written or is the file that is read.
+    path = study.output or Path("results") / f"{name}-export" / f"{name}{ending}"
+    if path.is_dir():
+        raise GreyboxError(f"--output {path}: it is a folder; give a file that ends in {kind.suffix}")
+    if path.suffix and path.suffix != kind.suffix:
+        raise GreyboxError(f"--output {path}: --to {study.to} writes {kind.suffix}; give a file with that suffix")
+    target = path.with_suffix(kind.suffix)
+    if target.exists() and target.samefile(study.source):
+        raise GreyboxError(f"--output {path}: it is the input file, which would be overwritten; give another file")
+    check_writable(target.parent)
     answer, made = _linear(result, kind, target, study) if kind.linear else _code(result, kind, target, study)
     first = to_word(str(made.files[0]))
     return Answer(
@@ -157,19 +164,6 @@ def _write(kind: ExportTarget, source: Any, target: Path, **options: Any) -> tup
     target.parent.mkdir(parents=True, exist_ok=True)  # whoever writes a target need not think of it
     files = kind.write(source, target, **options)
     return (files,) if isinstance(files, Path) else files
-
-
-def _target(path: Path, to: str, kind: ExportTarget, fit: str) -> Path:
-    """``path`` with its suffix, unless it cannot be written or is the file that is read."""
-    if path.is_dir():
-        raise GreyboxError(f"--output {path}: it is a folder; give a file that ends in {kind.suffix}")
-    if path.suffix and path.suffix != kind.suffix:
-        raise GreyboxError(f"--output {path}: --to {to} writes {kind.suffix}; give a file with that suffix")
-    target = path.with_suffix(kind.suffix)
-    if target.exists() and target.samefile(fit):
-        raise GreyboxError(f"--output {path}: it is the input file, which would be overwritten; give another file")
-    check_writable(target.parent)
-    return target
 
 
 def _unless(has: Callable[[ExportTarget, ExportStudy], bool]) -> Callable[[ExportStudy], bool]:

@@ -25,9 +25,17 @@ def describe_fleet(fleet: FleetResult, *, command: str = "") -> doc.Document:
     summary = [f for f in fleet.findings if f.code in (FleetCode.RECORDS_FITTED, FleetCode.RECORDS_LEFT)]
     tone = doc.Tone.GOOD if all(f.severity is Severity.NOTE for f in summary) else doc.Tone.CAUTION
     title, tables, (fitted, *others) = fleet.model.title, list(_tables(fleet)), fleet.findings
+    # The constant that differs most from record to record.
+    spreads = {n: c.spread for n, c in fleet.population.items() if c.relative and c.spread}
+    name = max(spreads, key=spreads.__getitem__, default="")
+    spread_text = (
+        f"; {name} differs most from record to record, by {wording.percent_text(spreads[name], 2)} (one standard deviation)"
+        if name
+        else ""
+    )
     return doc.Document(
         f"{title}: {records}",
-        f"{title}: {sentence(fitted)}{_spread_text(fleet)}.",
+        f"{title}: {sentence(fitted)}{spread_text}.",
         tone,
         tables[:1],
         worst_first(others),
@@ -36,17 +44,6 @@ def describe_fleet(fleet: FleetResult, *, command: str = "") -> doc.Document:
         doc.Later(_evidence, fleet),
         doc.Later(_sections, fleet, command),
         "fleet",
-    )
-
-
-def _spread_text(fleet: FleetResult) -> str:
-    """The constant that differs most from record to record."""
-    spreads = {n: c.spread for n, c in fleet.population.items() if c.relative and c.spread}
-    name = max(spreads, key=spreads.__getitem__, default="")
-    return (
-        f"; {name} differs most from record to record, by {wording.percent_text(spreads[name], 2)} (one standard deviation)"
-        if name
-        else ""
     )
 
 

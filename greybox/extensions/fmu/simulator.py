@@ -140,7 +140,13 @@ class FmuSimulator:
             Where the FMU reports an error, or an output is not finite.
         """
         time = experiment.time - experiment.time[0]
-        self._refuse_uneven_steps(experiment)
+        # The FMU may take equal steps alone.
+        exchange, description = self.plant.kind == "ModelExchange", self._description.coSimulation
+        if not (experiment.regular or exchange or description.canHandleVariableCommunicationStepSize):
+            raise DataError(
+                f"experiment {experiment.name!r} is sampled at irregular times, and {self.plant.path.name} takes equal steps only"
+                " (co-simulation without canHandleVariableCommunicationStepSize): resample the record, or export the FMU for model exchange"
+            )
         self.runs += 1
         self.rows += experiment.rows
         try:
@@ -165,15 +171,6 @@ class FmuSimulator:
                 raise FmuRunError(f"{self.plant.path.name}: output {o.name!r} is not finite to the end of the record")
             outputs[o.label] = values_at
         return outputs
-
-    def _refuse_uneven_steps(self, experiment: Experiment) -> None:
-        """Raise DataError where the FMU takes equal steps alone, and the record has others."""
-        exchange, description = self.plant.kind == "ModelExchange", self._description.coSimulation
-        if not (experiment.regular or exchange or description.canHandleVariableCommunicationStepSize):
-            raise DataError(
-                f"experiment {experiment.name!r} is sampled at irregular times, and {self.plant.path.name} takes equal steps only"
-                " (co-simulation without canHandleVariableCommunicationStepSize): resample the record, or export the FMU for model exchange"
-            )
 
     def _tabulate(self, experiment: Experiment, time: np.ndarray, parts: int) -> np.ndarray:
         """Rows ``time, inputs``, so many in each interval, for the input of fmpy, which is straight between rows of different times."""

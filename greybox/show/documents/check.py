@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from greybox.base import Finding
@@ -31,12 +31,20 @@ if TYPE_CHECKING:
 def describe_check(check: ModelCheck, *, command: str = "") -> doc.Document:
     """What is said of a check; ``command`` is what was typed."""
     names = join_names([q.name for q in check.model.free_parameters]) or "the parameters"
+    # Doubtful sensors, what any record leaves open and the remedy, what is known of these records, effects with a place.
+    notes, structure = _faults(check), check.structure
+    if structure is not None and not structure.complete:
+        notes.append(describe_verdict(structure))
+        notes += [f"remedy: {sentence(remedy)}" for remedy in structure.recommendations]
+    notes += [*check.other_answers, *tables.worst_first(check.practical.findings)]
+    if check.model.has_equations and not check.compiled:
+        notes.append("for the fast kernel, install a C compiler (gcc, clang) or set the environment variable CC")
     return doc.Document(
         f"Check of {check.model.title}",
         _answer(check),
         _tone(check),
         [] if check.failure else [_precision_table(check)],
-        _notes(check),
+        notes,
         doc.Later(_details, check),
         f"Can {names} be determined? This is checked before the fit.",
         sections=doc.Later(_sections, check, command),
@@ -142,18 +150,6 @@ def _tone(check: ModelCheck) -> doc.Tone:
         if check.complete and not (check.failure or check.other_answers or _faults(check))
         else doc.Tone.CAUTION
     )
-
-
-def _notes(check: ModelCheck) -> list[doc.Text]:
-    """Doubtful sensors, what any record leaves open and the remedy, what is known of these records, effects with a place."""
-    notes, structure = _faults(check), check.structure
-    if structure is not None and not structure.complete:
-        notes.append(describe_verdict(structure))
-        notes += [f"remedy: {sentence(remedy)}" for remedy in structure.recommendations]
-    notes += [*check.other_answers, *tables.worst_first(check.practical.findings)]
-    if check.model.has_equations and not check.compiled:
-        notes.append("for the fast kernel, install a C compiler (gcc, clang) or set the environment variable CC")
-    return notes
 
 
 def _precision(check: ModelCheck) -> Iterator[doc.Block]:
@@ -298,18 +294,15 @@ def describe_effects(listing: EffectListing) -> Document:
     full = list(_tables(listing))
     if len(sites) == 1:
         return Document("Effects", f"{sites[0][1]} acts at {sites[0][0]}.", table=full[: 1 + bool(listing.model)])
-    return Document("Effects", answer, table=[_by_site(sites)], details=Later(lambda: full))
-
-
-def _by_site(sites: Sequence[tuple[str, str]]) -> TableBlock:
     groups: dict[str, list[str]] = {}
     for site, name in sites:
         groups.setdefault(site, []).append(name)
-    return TableBlock(
+    by_site = TableBlock(
         "Effects by site",
         ["acts at", "effects"],
         [[site or "anywhere", ", ".join(names)] for site, names in groups.items()],
     )
+    return Document("Effects", answer, table=[by_site], details=Later(lambda: full))
 
 
 def _tables(listing: EffectListing) -> Iterator[TableBlock]:

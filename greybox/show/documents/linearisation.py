@@ -53,13 +53,29 @@ def linear_summary(linear: Linearisation) -> doc.Document:
     answer = f"{linear.name} as a linear model, {timing}, with {count_noun(len(linear.A), 'state')}: it is {stability}."
     cautious = bool(linear.findings) or stability != "stable"
     behaviour = describe_behaviour(linear).describe().details
+    names = (*linear.state_names, *linear.input_names)
+    values, units = (*linear.x0, *linear.u0), (*linear.state_units, *linear.input_units)
+    point = [
+        f"{name} = {value:.4g} {typeset_unit(unit) if unit else ''}".rstrip()
+        for name, value, unit in zip(names, values, units, strict=True)
+    ]
+    # The operating point, and what the matrices leave out.
+    point_lines = [f"  at   {format_signals(linear.state_names, linear.x0, linear.state_units)}"]
+    if linear.input_names:
+        point_lines += [f"       {format_signals(linear.input_names, linear.u0, linear.input_units)}"]
+    point_lines += [f"       outputs {format_signals(linear.output_names, linear.y0, linear.output_units)}"]
+    point_lines += [
+        f"  delay of {name} {seconds:.6g} s, not in the matrices"
+        for name, seconds in zip(linear.input_names, linear.delay, strict=True)
+        if seconds
+    ]
     return doc.Document(
         f"{linear.name} as a linear model",
         answer,
         doc.Tone.CAUTION if cautious else doc.Tone.GOOD,
         behaviour[:1],
-        [*worst_first(linear.findings), f"it holds for small deviations from {join_names(_point(linear))}"],
-        [doc.Paragraphs(_point_lines(linear)), doc.CodeBlock("\n".join(_matrix_lines(linear))), *behaviour[1:]],
+        [*worst_first(linear.findings), f"it holds for small deviations from {join_names(point)}"],
+        [doc.Paragraphs(point_lines), doc.CodeBlock("\n".join(_matrix_lines(linear))), *behaviour[1:]],
         linear_question(linear),
         kind="export",
     )
@@ -69,15 +85,6 @@ def linear_question(linear: Linearisation) -> str:
     """What a linear model is for."""
     inputs, outputs = (join_names(names) or "the states" for names in (linear.input_names, linear.output_names))
     return f"How do small deviations of {inputs} change {outputs}? This model is for controller design."
-
-
-def _point(linear: Linearisation) -> list[str]:
-    names = (*linear.state_names, *linear.input_names)
-    values, units = (*linear.x0, *linear.u0), (*linear.state_units, *linear.input_units)
-    return [
-        f"{name} = {value:.4g} {typeset_unit(unit) if unit else ''}".rstrip()
-        for name, value, unit in zip(names, values, units, strict=True)
-    ]
 
 
 def linear_evidence(linear: Linearisation | None, family: ModelFamily | None) -> Iterator[doc.FigureBlock]:
@@ -142,20 +149,6 @@ def _basis(linear: Linearisation) -> Iterator[doc.Block]:
         yield doc.TableBlock("Delays that the matrices do not include", ["input", "delay"], delays)
     parameters = [[name, f"{value:.7g}"] for name, value in linear.parameters.items()]
     yield doc.TableBlock("Parameters of the model", ["parameter", "value (in the model's unit)"], parameters)
-
-
-def _point_lines(model: Linearisation) -> list[str]:
-    """The operating point, and what the matrices leave out."""
-    lines = [f"  at   {format_signals(model.state_names, model.x0, model.state_units)}"]
-    if model.input_names:
-        lines += [f"       {format_signals(model.input_names, model.u0, model.input_units)}"]
-    lines += [f"       outputs {format_signals(model.output_names, model.y0, model.output_units)}"]
-    lines += [
-        f"  delay of {name} {seconds:.6g} s, not in the matrices"
-        for name, seconds in zip(model.input_names, model.delay, strict=True)
-        if seconds
-    ]
-    return lines
 
 
 def _matrix_lines(model: Linearisation) -> list[str]:

@@ -317,7 +317,16 @@ def fit_provenance_section(fit: Fit, command: str) -> doc.Section:
     iterations = wording.count_noun(int(fit.solver.statistics.get("iterations", 0)), "iteration")
     ended = f"{fit.status.replace('_', ' ')} after {iterations}"
     computed = doc.Facts([*computation_facts(fit), ("ended", ended)], "How it was computed")
-    tables: list[doc.Block] = [_options(fit), named_values("Versions", fit.provenance.versions)]
+    # The options; of the policy only what differs from the default, which the note says.
+    usual = flatten(FitOptions().to_data())
+    rows = [
+        [name, value]
+        for name, value in flatten(fit.provenance.options).items()
+        if not (name.startswith("policy.") and usual.get(name) == value)
+    ]
+    note = "Numbers of the policy that are not listed have their default values."
+    options = doc.TableBlock("Options", ["name", "value"], rows, note)
+    tables: list[doc.Block] = [options, named_values("Versions", fit.provenance.versions)]
     return doc.Section(
         "repeat", "How to repeat it", [*_command(command), computed, doc.Details("Options and versions", tables)]
     )
@@ -334,18 +343,6 @@ def computation_facts(fit: Fit) -> list[tuple[str, str]]:
     left = f"; error {error:.2g} x noise, half the step changes no parameter by more than {shift:.2g} std"
     search = [] if fit.solver.strategy is None else [("search", str(fit.solver.strategy))]
     return [("discretisation", fit.discretisation.label + (left if error or shift else "")), *search]
-
-
-def _options(fit: Fit) -> doc.TableBlock:
-    """The options; of the policy only what differs from the default, which the note says."""
-    usual = flatten(FitOptions().to_data())
-    rows = [
-        [name, value]
-        for name, value in flatten(fit.provenance.options).items()
-        if not (name.startswith("policy.") and usual.get(name) == value)
-    ]
-    note = "Numbers of the policy that are not listed have their default values."
-    return doc.TableBlock("Options", ["name", "value"], rows, note)
 
 
 # The data of a page: which records, what they hold, and their fingerprints.

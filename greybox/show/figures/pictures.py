@@ -285,23 +285,20 @@ def gap_sheet(
     pair, units = (_only(before, output), _only(after, output)), {output: unit}
     run = record_figures.plot_runs_before_after(*pair, units, "run", names)[output]
     residual = record_figures.plot_residuals_before_after(*pair, units, {output: noise}, "residual", names[1])[output]
-    cells = (
-        Cell(run, 0, titles=(f"{output}: free run on a record not used for the fit",), above_another=True),
-        Cell(_without_labels(residual), 1, titles=("residual",)),
-        Cell(_ratio_marks(ratios, names), 0, 1, rows=2, titles=("misfit / noise (1: noise only)",)),
-    )
-    heading = f"Error of the model in {output}, without and with the effect"
-    return Sheet(name, cells, heading, (10.5, 4.6), widths=(1.6, 1.0), heights=(1.0, 1.25))
-
-
-def _ratio_marks(ratios: Mapping[str, float], names: tuple[str, str]) -> Panel:
     roles = {names[0]: Role.BASELINE, names[1]: Role.EXTENDED}
     values = np.array(list(ratios.values()))
     x = Axis("misfit / noise", "", Scale.LOG, (0.7, 3.0 * float(values.max())))
     texts = [f"{ratio:.3g}" for ratio in values]
     marks = draw_sizes(list(ratios), values, [roles.get(n, Role.OTHER) for n in ratios], x, texts=texts)
     series = (*marks, Reference(1.0, upright=True, dash=Dash.DOTTED))
-    return Panel("misfit", series, x, Axis(scale=Scale.CATEGORY, reversed=True))
+    ratio_marks = Panel("misfit", series, x, Axis(scale=Scale.CATEGORY, reversed=True))
+    cells = (
+        Cell(run, 0, titles=(f"{output}: free run on a record not used for the fit",), above_another=True),
+        Cell(_without_labels(residual), 1, titles=("residual",)),
+        Cell(ratio_marks, 0, 1, rows=2, titles=("misfit / noise (1: noise only)",)),
+    )
+    heading = f"Error of the model in {output}, without and with the effect"
+    return Sheet(name, cells, heading, (10.5, 4.6), widths=(1.6, 1.0), heights=(1.0, 1.25))
 
 
 def _named_by_title(panel: Panel, quantity: str) -> Panel:

@@ -135,7 +135,12 @@ def plot_residual(trace: Trace, units: Mapping[str, str], noise: Mapping[str, fl
         factor, unit = scale_to_prefix(units[output], residual, np.array([2 * std]))
         band = 2 * factor * std
         curve = draw_over_time(trace.time, residual, fig.Role.RESIDUAL, "residual", 1.0, factor=factor)
-        axis = fig.Axis(f"residual of {output}", unit, still_limits=_robust_limits(residual, factor, band))
+        # The range of factor times a residual, not blown up by a single outlier, and never less than the noise band.
+        sizes = np.abs(residual[np.isfinite(residual)])
+        largest = factor * float(np.quantile(sizes, SHOWN_SHARE, overwrite_input=True)) if len(sizes) else 0.0
+        reach = 1.1 * max(1.2 * band, largest)
+        robust_limits = (-reach, reach) if reach > 0 else (-1.0, 1.0)
+        axis = fig.Axis(f"residual of {output}", unit, still_limits=robust_limits)
         panels.append(fig.Panel(output, (*_noise_band(band), curve), TIME, axis))
         text = f"Residual of {output}: rms {value_with_unit(factor * root_mean_square(residual), unit)}"
         known = int(np.isfinite(residual).sum())
@@ -305,11 +310,3 @@ def _spectrum(
 
 # Share of a residual that lies within the limits of a picture: a single outlier does not flatten the rest.
 SHOWN_SHARE = 0.9995
-
-
-def _robust_limits(residual: np.ndarray, factor: float, band: float) -> tuple[float, float]:
-    """The range of ``factor`` times a residual, not blown up by a single outlier, and never less than the noise band."""
-    sizes = np.abs(residual[np.isfinite(residual)])
-    largest = factor * float(np.quantile(sizes, SHOWN_SHARE, overwrite_input=True)) if len(sizes) else 0.0
-    reach = 1.1 * max(1.2 * band, largest)
-    return (-reach, reach) if reach > 0 else (-1.0, 1.0)
