@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import gc
+import importlib.util
 import os
 import signal
 import sys
 import time
+import warnings
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
@@ -58,18 +60,44 @@ def pytest_itemcollected(item: pytest.Item) -> None:
         item.add_marker(pytest.mark.rest)
 
 
-# Processor time, in s, that an everyday test may take: of its own thread, so that a busy machine and a compiler at work do not count. Two
-# seconds, and as much again for whichever test of a worker is the first to import what hundreds share.
-EVERYDAY_SECONDS = 4.0
+# Tests of a run from which it is a whole one: nobody waits for imports that a single test does not need.
+WHOLE_RUN = 200
+# What hundreds of tests share, by the time that importing it takes: without this the first test of a worker pays for all.
+HEAVY = (
+    "scipy.stats",
+    "asammdf",
+    "control",
+    "statsmodels.api",
+    "pandas",
+    "h5py",
+    "distributed",
+    "pyarrow.parquet",
+    "plotly",
+)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def heavy_imports(request: pytest.FixtureRequest) -> None:
+    """Import what takes long before the clock of any test runs."""
+    if request.session.testscollected >= WHOLE_RUN:
+        with warnings.catch_warnings(action="ignore"):
+            for name in HEAVY:
+                if importlib.util.find_spec(name.partition(".")[0]):
+                    importlib.import_module(name)
+
+
+# Processor time, in s, that an everyday test may take: of its own thread, so that a busy machine and a compiler at work do not count.
+EVERYDAY_SECONDS = 2.0
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
-    """Fail an everyday test that is none: hundreds of them must run in three minutes."""
+    """Fail an everyday test that is none, in a whole run: hundreds of them must run in three minutes."""
     began = time.thread_time()
     yield
     took = time.thread_time() - began
-    if took > EVERYDAY_SECONDS and not any(item.iter_markers("rest")) and not any(item.iter_markers("slow")):
+    is_everyday = not any(item.iter_markers("rest")) and not any(item.iter_markers("slow"))
+    if took > EVERYDAY_SECONDS and is_everyday and item.session.testscollected >= WHOLE_RUN:
         pytest.fail(
             f"took {took:.1f} s, and an everyday test takes at most {EVERYDAY_SECONDS:g} s: make it faster, or mark it rest"
         )
