@@ -11,7 +11,7 @@ SMALLEST_TYPICAL_SIZE = 1e-3
 # A balance is met where its residual is below this share of its terms.
 BALANCE_MET = 1e-9
 
-# The same, as a share of the change of the balance over typical moves of the variables.
+# A balance is met as well where its residual is below this share of its change over typical moves of the variables.
 BALANCE_MET_OF_MOVE = 1e-12
 
 # No rate depends on a position whose share of every row of the scaled Jacobian is below this.
@@ -92,7 +92,7 @@ OFF_REST = 1e-3
 # sensitivities whose entries are sums over long records, exact to some 1e-14.
 RANK_CUTOFF = 1e-12
 
-# The same: above this they are information; between the two lies doubt. What decides only whether a part of the data, or an eliminated
+# Eigenvalues above this share of the largest are information; between the two lies doubt. What decides only whether a part of the data, or an eliminated
 # first state, is seen at all takes this line.
 CERTAIN_INFORMATION = 1e-10
 
@@ -100,7 +100,7 @@ CERTAIN_INFORMATION = 1e-10
 # of an integration over thousands of steps.
 COLUMN_CUTOFF = 1e-11
 
-# The same: above this they are information; between the two lies doubt.
+# Singular values above this are information; between the two lies doubt.
 CERTAIN_COLUMN = 1e-8
 
 # Directions that are results of a decomposition themselves, of length one: entries below this are zero, and singular values below this show
@@ -125,7 +125,7 @@ SAME_ERROR = 1e-9
 # Largest difference of two unit vectors that rounding explains: they are the same direction.
 SAME_DIRECTION = 1e-9
 
-# The same for formulas that noisy records determine: nearly parallel ones say the same.
+# Largest difference of the unit vectors of two formulas that noisy records determine: nearly parallel ones say the same.
 INDEPENDENT_FORMULA = 1e-3
 
 # Agreement of exponents with whole numbers.
@@ -146,7 +146,7 @@ PERIOD_CLOSURE = 1e-9
 # A comparison, ``|a|``, ``min`` or ``max`` is at its edge where its two sides differ by less than this share of their size.
 SWITCH_EDGE = 1e-11
 
-# The same, as a share of the change of the difference over a typical move of the variables: covers an operand that is itself zero.
+# An edge as a share of the change of the difference over a typical move of the variables: covers an operand that is itself zero.
 SWITCH_EDGE_OF_MOVE = 1e-13
 
 # How far from an edge, relative to the variables, a function is evaluated to find out on which side a direction leads.

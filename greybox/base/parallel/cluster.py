@@ -46,11 +46,11 @@ LISTEN_SECONDS = 4.0
 # Seconds without a heartbeat after which a worker is done without; one beats twice a second in a small cluster, and on a machine with far
 # more to do than it can every ten.
 FROZEN_SECONDS = 25.0
-# The same for each worker of a large cluster: a thousand of them beat every six seconds only.
+# Seconds without a heartbeat for each worker of a large cluster: a thousand of them beat every six seconds only.
 FROZEN_SECONDS_PER_WORKER = 0.03
 # Workers that may die one after another while no job is finished: one bad job kills four before Dask gives it up.
 LEAST_LOSSES = 6
-# The same for each worker of a large cluster, which may lose many at once when a machine goes.
+# Workers that may die so for each one of a large cluster, which may lose many at once when a machine goes.
 LOSSES_PER_WORKER = 3
 # Seconds without a finished job after which a cluster that has lost more workers than it ever had at a time is given up: where workers
 # begin slowly and die, their number alone would take minutes to tell.

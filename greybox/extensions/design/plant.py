@@ -216,7 +216,7 @@ def information_of_records(question: DesignProblem, model: Model, like: Decision
         if name in known_outputs and name not in question.noise
     }
     problem = prepare_problem(model, question.earlier, question.noise_model(others), question.options.integration)
-    # The same here: priors were added above.
+    # Priors were added above.
     problem = replace(problem, variables=_without_priors(problem.variables))
     evaluation = problem.shooting(problem.variables).evaluate(problem.variables.here)
     if not np.isfinite(evaluation.cost):

@@ -318,7 +318,7 @@ def _interval_kind(fit: Fit) -> str:
     return ""
 
 
-# The same for all residuals of a page together.
+# Values of all residuals of a page together up to which its spectra follow the part that is zoomed into.
 ALL_SIGNALS_ON_PAGE = 100000
 # Records whose figures stand open at first; those of the others open on request.
 OPEN_RECORDS = 1
