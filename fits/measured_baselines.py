@@ -7,7 +7,7 @@ give the folder that holds both:
 
 with ``silverbox/`` (``train_multisine.csv``, ``test_multisine.csv``, ``test_arrow.csv``) and ``cascaded_tanks/`` (``train.csv``,
 ``test.csv``). ARX, ARMAX and output error, each chosen by its own scan within the training record, and physical models, all fitted to
-the training records alone; free-run errors on the test records without their first 50 rows. Writes `docs/studies/measured_baselines.md`.
+the training records alone; free-run errors on the test records without their first 50 rows. Writes its part of `docs/studies/real_data.md`.
 
 What to expect: on the silverbox output error is at the published error of linear models on all three records, and so is a linear
 physical model, with fewer numbers; a hardening spring takes away 95 % of the error. On the tanks linear black boxes are near the
@@ -27,10 +27,10 @@ import numpy as np
 import greybox as gb
 from fits import data_and_docs
 from fits.paper_page import Say, markdown
+from fits.real_page import write as write_part
 from models.cascaded_tanks import cascaded_tanks
 from models.silverbox import silverbox
 
-PAGE = "measured_baselines.md"
 SKIP = 50  # rows of a test record that tell the initial state and are not judged
 SILVERBOX = ("silverbox/train_multisine.csv", "silverbox/test_multisine.csv", "silverbox/test_arrow.csv")
 TANKS = ("cascaded_tanks/train.csv", "cascaded_tanks/test.csv")
@@ -124,25 +124,22 @@ def verdict(silver: Sequence[Row], tanks: Sequence[Row]) -> None:
 
 
 def write(silver: Sequence[Row], tanks: Sequence[Row], folder: Path) -> Path:
-    """The page."""
+    """The part of the page."""
     text = [
-        "# Linear black boxes and physics on measured records",
+        "## Linear black boxes and physics on measured records",
         "Written by `python -m fits.measured_baselines`. Measured data of two public benchmarks. All models are fitted to the training"
         " records; the errors are those of a free run (rms) over the test records without their first 50 rows. Black boxes are chosen by"
         " a scan within the training record.",
-        "## Silverbox, mV",
+        "### Silverbox, mV",
         _table(silver, PUBLISHED_SILVERBOX, 1e3),
         "Output error finds the linear model of the literature, and so does the linear physical model, with fewer numbers. The"
         " hardening spring is what no linear model has.",
-        "## Cascaded tanks, V",
+        "### Cascaded tanks, V",
         _table(tanks, PUBLISHED_TANKS, 1.0),
         "Torricelli's law alone is worse than any black box, because the tanks overflow. Each effect that the rig has and the model"
         " lacked brings the physical model down; no order of a linear black box does.",
     ]
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / PAGE
-    path.write_text("\n\n".join(text) + "\n", encoding="utf-8")
-    return path
+    return write_part(folder, "4 linear black boxes", text)
 
 
 def _table(rows: Sequence[Row], published: Mapping[str, float], factor: float) -> str:

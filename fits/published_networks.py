@@ -1,6 +1,6 @@
 """Published networks: does a fit by the usual options hold their constants, find them from three times off, and from anywhere?
 
-    python -m fits.published_networks [--random N] [--only NAME] [--page FILE]
+    python -m fits.published_networks [--random N] [--only NAME] [--page FOLDER]
 
 Signalling, gene regulation, glycolysis, infections and immune cells, nerve and chemistry, each with the equations, constants and sampling
 of its source. What is measured is a run of an independent solver at these constants with noise of known size
@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from fits import stiff_problems
+from fits import published_problems, stiff_problems
+from fits.paper_page import write_section
 from fits.stiff_problems import StiffProblem, sqrt, study
 
 
@@ -322,9 +323,9 @@ NETWORKS: dict[str, StiffProblem] = {
     ),
 }
 
-PAGE = """# Published networks and stiff models
+PART = """## Published networks and stiff models
 
-Written by `python -m fits.published_networks --page docs/published_problems.md`. The equations, constants and sampling are those of each
+Written by `python -m fits.published_networks --page docs/studies`. The equations, constants and sampling are those of each
 source (in the scripts `fits/published_networks.py` and `fits/stiff_problems.py`); the data are runs of an independent solver (Radau of
 SciPy) at these constants with noise of known size, as the measured tables of the sources are no part of this project. Every fit is
 `gb.fit(model, record, noise=..., options=gb.FitOptions(at_rest=True))`: the usual options.
@@ -334,13 +335,13 @@ SciPy) at these constants with noise of known size, as the measured tables of th
 - *Random starts*: each constant between a tenth and ten times its value, up to {random} of them until one reaches the optimum.
 - *Seconds*: CPU time of the longest of these fits. *Missed*: how the others ended, and their sum of squares over that of the truth.
 
-## Networks: {networks}
+### Networks: {networks}
 
 | problem | states, constants | from the published constants | three times off | random starts | seconds | missed |
 |---|---|---|---|---|---|---|
 {network_rows}
 
-## Stiff models: {models}
+### Stiff models: {models}
 
 | problem | states, constants | from the published constants | three times off | random starts | seconds | missed |
 |---|---|---|---|---|---|---|
@@ -357,7 +358,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Published networks with their constants.")
     parser.add_argument("--random", type=int, default=10, help="number of random starts")
     parser.add_argument("--only", choices=list(NETWORKS), action="append", help="this network alone; may be repeated")
-    parser.add_argument("--page", type=Path, help="page for both tables")
+    parser.add_argument("--page", type=Path, help="folder of the page for both tables")
     given = parser.parse_args(arguments)
     tables = []
     for problems in (NETWORKS, stiff_problems.PROBLEMS) if given.page else (NETWORKS,):
@@ -376,7 +377,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         tables.append((summary, "\n".join(lines)))
     if given.page:
         (networks, network_rows), (models, model_rows) = tables
-        text = PAGE.format(
+        text = PART.format(
             random=given.random,
             networks=networks,
             network_rows=network_rows,
@@ -384,7 +385,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             model_rows=model_rows,
             why=WHY,
         )
-        given.page.write_text(text, encoding="utf-8")
+        write_section(given.page, "2 networks", text, published_problems.PAGE, published_problems.HEAD)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Published problems with known optima: does a fit from the published starts, and from random ones, end where the literature says?
 
-    python -m fits.published_problems [--random N] [--page FILE]
+    python -m fits.published_problems [--random N] [--page FOLDER]
 
 - Nonlinear regressions of the Statistical Reference Datasets (NIST/ITL StRD, certified optima and two starts each): a function of an input.
 - Kinetics: isomerisation of alpha-pinene, five reactions (Box, Hunter, MacGregor and Erjavec, Technometrics 15, 1973), pyrolysis of oil
@@ -27,6 +27,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import greybox as gb
+from fits.paper_page import write_section
 
 Formula = Callable[[Any, Sequence[Any]], Any]
 
@@ -476,9 +477,14 @@ def study(name: str, random: int) -> dict[str, Any]:
     }
 
 
-PAGE = """# Published problems
+# The page of published problems, whose other part `fits.published_networks` writes.
+PAGE, HEAD = (
+    "published_problems.md",
+    "# Published problems\n\nProblems whose answers are published: regressions, reaction mechanisms, networks and stiff models.\n",
+)
+PART = """## Regressions and reaction mechanisms
 
-Written by `python -m fits.published_problems --page docs/studies/published_problems.md`. {regressions} nonlinear regressions of the
+Written by `python -m fits.published_problems --page docs/studies`. {regressions} nonlinear regressions of the
 Statistical Reference Datasets (NIST/ITL StRD) and {kinetics} reaction mechanisms (alpha-pinene: Box and others, Technometrics 15,
 1973; nitric oxide: Bellman and others, Mathematical Biosciences 1, 1967; gas oil and chain: Tjoa and Biegler, Industrial and
 Engineering Chemistry Research 30, 1991, the first with the optimum of COPS 3; methanol: Maria, Chemical Engineering Science 44,
@@ -503,8 +509,6 @@ determine near its start (two exponentials that became one, a rate that left the
 so: about its own, and where those explain nothing either about the scales that the records show, each constant by decades. What misses
 yet: Thurber and Roszman1, quotients with poles, have optima of their own with every constant determined; the first published
 start of MGH17 is ninety times off in two rates, and its fit follows 85 % of the curve, so that no other start is tried.
-
-Networks and stiff models with the constants of their sources have [a page of their own](../published_problems.md).
 """
 
 
@@ -527,7 +531,7 @@ def write_row(line: Mapping[str, Any]) -> str:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Published problems with known optima.")
     parser.add_argument("--random", type=int, default=10, help="number of random starts")
-    parser.add_argument("--page", type=Path, help="page for the table")
+    parser.add_argument("--page", type=Path, help="folder of the page for the table")
     given = parser.parse_args(arguments)
     lines = []
     for name in PROBLEMS:
@@ -538,8 +542,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows = "\n".join(map(write_row, lines))
     counts = {"regressions": len(REGRESSIONS), "kinetics": len(KINETICS), "iterations": ITERATIONS["MGH10"]}
     if given.page:
-        text = PAGE.format(published=published, random=drawn, rows=rows, **counts)
-        given.page.write_text(text, encoding="utf-8")
+        text = PART.format(published=published, random=drawn, rows=rows, **counts)
+        write_section(given.page, "1 regressions", text, PAGE, HEAD)
 
 
 if __name__ == "__main__":

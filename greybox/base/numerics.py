@@ -92,8 +92,8 @@ OFF_REST = 1e-3
 # sensitivities whose entries are sums over long records, exact to some 1e-14.
 RANK_CUTOFF = 1e-12
 
-# Eigenvalues above this share of the largest are information; between the two lies doubt. What decides only whether a part of the data, or an eliminated
-# first state, is seen at all takes this line.
+# Eigenvalues above this share of the largest are information; between the two lies doubt. What decides only whether a part of the data,
+# or an eliminated first state, is seen at all takes this line.
 CERTAIN_INFORMATION = 1e-10
 
 # Singular values of sensitivities, their columns scaled to length one, below this are rounding: they are not squared, but carry the errors

@@ -44,4 +44,4 @@ def test_the_tanks_are_near_the_published_linear_error(shared_data):
 @pytest.mark.slow
 def test_physics_stands_beside_them(shared_data, tmp_path):
     study.main(shared_data, tmp_path, lambda text: None)  # asserts its verdict
-    assert "published, linear" in (tmp_path / study.PAGE).read_text(encoding="utf-8")
+    assert "published, linear" in (tmp_path / "real_data.md").read_text(encoding="utf-8")
