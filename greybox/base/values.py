@@ -1,4 +1,9 @@
-"""What every result value shares: contents that nobody changes by accident, and what is said of it."""
+"""What every result value shares: contents that nobody changes by accident, what is said of it, and what it has to say, as data.
+
+A `Finding` is a fact that a reader should know before trusting a number. A `Check` is one decision: the rule, the value that it was
+applied to, the limit, and the outcome. Code branches on ``code`` and ``rule``, never on a sentence; `greybox.show.sentences` holds
+one template for each code.
+"""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace
 from greybox.estimation.score import check_steps_ahead, colour_correction, run_model
 from greybox.model.model import Model
-from greybox.simulation.linearise import linearise_along
+from greybox.simulation.free_run import linearise_along
 from greybox.simulation.plant import PlantModel, as_model
 from greybox.simulation.simulate import declared_initial_state
 

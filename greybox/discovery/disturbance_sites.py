@@ -21,7 +21,7 @@ from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.problem import FittedCandidate
 from greybox.estimation.transcription.shooting_cost import SingleShooting
 from greybox.model import Model
-from greybox.simulation.linearise import linearise_along
+from greybox.simulation.free_run import linearise_along
 
 
 class SiteKind(StrEnum):

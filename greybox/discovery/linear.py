@@ -24,9 +24,9 @@ from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.table import RIDGE, LinearisedSet
 from greybox.model import Effect, Model, System
 from greybox.model.effects.scales import Scales, count_starts, list_effect_values, within_bounds
+from greybox.simulation.free_run import linearise_along
 from greybox.simulation.integrators.step import call_function
 from greybox.simulation.kernel.record import Record
-from greybox.simulation.linearise import linearise_along
 
 # Amplitudes that are tried, in multiples of an effect's probe.
 SCREENED_AMPLITUDES = (0.1, 1.0, 10.0)

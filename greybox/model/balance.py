@@ -164,6 +164,10 @@ def closed_output(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
 
 
 # Balances that store nothing: what they say of their states is solved once, and these states are no states of the system.
+#
+# A valve in front of a volume without capacity, a joint without mass, the node of a circuit: the terms of such a balance add up to zero at
+# every moment. Where they are linear in the unknown states the solution is exact; otherwise it is that of a fixed number of damped Newton
+# steps from the states' start values, kept within their bounds.
 
 
 @dataclass(frozen=True)

@@ -24,12 +24,17 @@ from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, raise_problems
 from greybox.data.read import WHOLE, Window, read_arrays
 from greybox.model import Model
-from greybox.simulation.free_run import SIMULATION_POLICY, SimulationPolicy, run_freely
+from greybox.simulation.free_run import (
+    SIMULATION_POLICY,
+    SettledStart,
+    SimulationPolicy,
+    find_inputs_before,
+    run_freely,
+)
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.plant import Plant, PlantModel, as_model, make_plant_step
 from greybox.simulation.plant_kernel import PlantKernel
 from greybox.simulation.records import to_record
-from greybox.simulation.settled_start import SettledStart, find_inputs_before
 
 # The inputs of a file alone, for simulating where nothing was measured.
 

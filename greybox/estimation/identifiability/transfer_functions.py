@@ -18,7 +18,7 @@ from scipy.linalg import matrix_balance
 from greybox.base.numerics import CANCELLED_RESPONSE, INTEGRATING_POLE, TINY
 from greybox.estimation.identifiability.sensitivity import Sensitivity
 from greybox.model import System
-from greybox.simulation.linearise import differentiate_equations
+from greybox.simulation.free_run import differentiate_equations
 
 Rows = tuple[list[np.ndarray], list[np.ndarray]]  # along the initial states, and along the constants
 

@@ -12,7 +12,7 @@ import numpy as np
 from greybox.base.errors import ModelError, is_slip_of, nearest
 from greybox.base.numerics import AT_BOUND, ROUNDED_BOUND
 from greybox.model import Model, Parameter
-from greybox.simulation.settled_start import SettledStart
+from greybox.simulation.free_run import SettledStart
 
 # Operating conditions: constants that an experiment brings itself, such as the supply pressure it was run at.
 

@@ -22,6 +22,7 @@ from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOpti
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.estimation.transcription.shooting_cost import Evaluation, PlantShooting, SingleShooting, WhitenedShooting
 from greybox.model import Model
+from greybox.simulation.free_run import SettledStart, find_inputs_before
 from greybox.simulation.integrators.discretisation import ADAPTIVE, choose_implicit_method, discretise
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel
@@ -30,7 +31,6 @@ from greybox.simulation.kernel.record import Record
 from greybox.simulation.plant import PlantModel, make_plant_step
 from greybox.simulation.plant_kernel import PlantKernel
 from greybox.simulation.records import to_experiments, to_record
-from greybox.simulation.settled_start import SettledStart, find_inputs_before
 
 
 @dataclass(frozen=True)

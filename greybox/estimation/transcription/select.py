@@ -19,10 +19,10 @@ from greybox.estimation.options import DEFAULT_POLICY, FitOptions, Transcription
 from greybox.estimation.transcription.problem import EstimationProblem, TranscriptionReason, make_strategy
 from greybox.estimation.transcription.single_shooting import CHECKED_ROWS, compute_change_over_noise
 from greybox.model import System
+from greybox.simulation.free_run import linearise_along
 from greybox.simulation.integrators.discretisation import choose_implicit_method
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate
 from greybox.simulation.kernel.record import Record
-from greybox.simulation.linearise import linearise_along
 
 
 @dataclass(frozen=True)

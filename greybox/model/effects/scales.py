@@ -357,6 +357,9 @@ def _time_constants(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray, d
 
 
 # Where a search for the constants of an effect begins: what decides its success is not the statistics but these points.
+#
+# Amplitudes of the catalogue are neutral: an effect just added changes nothing, and there the cost of many has no slope (a dry friction of
+# zero, a dead zone of no width). So a search begins at a small amplitude and at a large one, and at every shape of the effect's grid.
 
 
 # Amplitudes at which a refit starts, in multiples of the effect's probe (about a hundredth of the balance it enters).
