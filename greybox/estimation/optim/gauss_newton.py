@@ -32,6 +32,7 @@ def run_gauss_newton(
     steps: int,
     project: Callable[[np.ndarray], np.ndarray] | None = None,
     while_predicted: bool = False,
+    reach: np.ndarray | float = np.inf,
 ) -> bool:
     """Levenberg and Marquardt's steps from the best point, damped after Nielsen (1999) by the actual over the predicted decrease, until
     the termination test of ``search`` ends it; whether it did.
@@ -54,6 +55,8 @@ def run_gauss_newton(
         Maps a point (n,) to the nearest allowed one, where bounds do not say what is allowed.
     while_predicted
         Give up at the first step that gains little of what is predicted.
+    reach
+        The longest change of each unknown (n,) in one step.
     """
     damping, growth, last = policy.initial_damping, policy.damping_growth, search.steps + steps
     rejections = kink_steps = 0
@@ -63,7 +66,8 @@ def run_gauss_newton(
         if not model.is_finite:
             return False  # sensitivities overflow: there is no direction to go
         # (H + damping I) d = -g in scaled unknowns, within the bounds.
-        step = model.bounded_step(low - search.best, high - search.best, damping)
+        room = np.maximum(low - search.best, -reach), np.minimum(high - search.best, reach)
+        step = model.bounded_step(*room, damping)
         predicted = model.decrease_along(step)
         if predicted <= LOST_IN_ROUNDING * abs(before):
             search.status = TerminationStatus.CONVERGED

@@ -33,6 +33,9 @@ class MinimisationMethod(StrEnum):
     GAUSS_NEWTON = "gauss_newton"
     """By damped Gauss-Newton steps alone."""
 
+    DAMPED_FIRST = "damped_first"
+    """By damped Gauss-Newton steps, and as by IPOPT from where these gain nothing."""
+
 
 def minimise(
     objective: Callable[[np.ndarray], QuadraticModel],
@@ -50,6 +53,7 @@ def minimise(
     project: Callable[[np.ndarray], np.ndarray] | None = None,
     cost: Callable[[np.ndarray], float] | None = None,
     progress: IterationCallback | None = None,
+    reach: np.ndarray | float = np.inf,
     policy: MinimisationPolicy = DEFAULT_POLICY,
 ) -> MinimisationResult:
     """Minimise ``objective(z).cost`` within bounds.
@@ -85,6 +89,8 @@ def minimise(
         ``objective(z).cost`` alone, where that is much cheaper: damped Gauss-Newton steps are tried by it.
     progress
         ``(iteration, cost)`` is called after every iteration.
+    reach
+        Longest change of each unknown (n,) in one step of damped steps that begin a search.
     policy
         When a method hands over to the next, and how that goes on.
 
@@ -110,11 +116,15 @@ def minimise(
         search.status = TerminationStatus.CONVERGED
     elif not search.test_termination():
         with hold_interrupts(search):
-            if method == MinimisationMethod.GAUSS_NEWTON:
+            is_over = False
+            if method != MinimisationMethod.IPOPT:
                 search.record_solver(SolverName.GAUSS_NEWTON)
-                if not run_gauss_newton(search, low, high, policy.damped, steps=iterations, project=project):
-                    search.status = TerminationStatus.STUCK
-            else:
+                is_over = run_gauss_newton(
+                    search, low, high, policy.damped, steps=iterations, project=project, reach=reach
+                )
+            if method == MinimisationMethod.GAUSS_NEWTON and not is_over:
+                search.status = TerminationStatus.STUCK
+            elif not is_over:
                 _search_with_ipopt(search, low, high, tolerance, iterations, thorough)
     # Whoever asked for an end must hear of it, also where the last iteration was the last anyway: the caller would go on.
     status = TerminationStatus.INTERRUPTED if search.stop else search.status or TerminationStatus.FAILED

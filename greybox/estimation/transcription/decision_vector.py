@@ -140,6 +140,11 @@ class NoiseLevels:
     """The largest logarithm of its ratio to ``level``."""
 
 
+# Damped steps follow a quadratic model over a factor ``e^4.6``, a hundred, of a positive constant. Farther away it promises what is not
+# there: as a rate leaves the record its slope dies away, and the step to where nothing is gained grows without end.
+MAX_LOG_CHANGE = 4.6
+
+
 class Point(NamedTuple):
     """The parts of a point ``z``, or of a gradient there, as views: what is written into a part stands in ``z``."""
 
@@ -346,6 +351,12 @@ class DecisionVector:
         floor = np.minimum(np.log(self.noise.least / self.noise.level)[self.estimated_noise], 0.0)
         return np.concatenate([low, floor]), np.concatenate([high, np.full(len(floor), self.noise.greatest)])
 
+    @property
+    def reach(self) -> np.ndarray:
+        """Longest change of each entry of ``z`` (size,) in one damped step."""
+        rest = np.full(self.size - len(self.which), np.inf)
+        return np.concatenate([np.where(self.logarithmic, MAX_LOG_CHANGE, np.inf), rest])
+
     def constants(self, z: np.ndarray) -> np.ndarray:
         """The free constants (nf,) at ``z``, clipped to their bounds (an optimiser may overstep them by a hair)."""
         step = z[self.slices.parameters]
@@ -465,6 +476,19 @@ class DecisionVector:
         # One scale for a state in all experiments: the geometric mean of theirs.
         states[self.free_states] *= np.exp(np.log(parts.initial_states).mean(axis=0))
         return replace(self, scale=scale, initial=replace(self.initial, scale=states))
+
+    def with_logarithms(self) -> DecisionVector:
+        """The same variables with the logarithm of every constant that lies above zero and may become as small and as large as it likes.
+
+        A step of any length leaves it positive; zero itself is reached in the limit.
+        """
+        open_above_zero = (self.low == 0) & (self.base > 0) & np.isposinf(self.high)
+        return replace(self, logarithmic=self.logarithmic | open_above_zero)
+
+    def with_scales_of(self, other: DecisionVector) -> DecisionVector:
+        """The same variables with the logarithms of ``other`` alone; the step of one of any other constant is its size."""
+        is_turned = self.logarithmic & ~other.logarithmic & (self.base > 0)
+        return replace(self, logarithmic=other.logarithmic, scale=np.where(is_turned, self.base, self.scale))
 
     def recentre(self, z: np.ndarray) -> DecisionVector:
         """The same variables with ``z = 0`` at the given point."""

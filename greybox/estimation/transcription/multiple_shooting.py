@@ -41,7 +41,6 @@ from greybox.estimation.transcription.problem import (
     Solution,
 )
 from greybox.estimation.transcription.segments import (
-    MAX_LOG_CHANGE,
     SegmentedProblem,
     cut_by_growth,
     cut_in_seconds,
@@ -376,8 +375,7 @@ class MultipleShooting:
     def _compute_step(self, linearised: _LinearisedPoint, damping: float = 0.0) -> np.ndarray:
         """The step of constants and first states that minimises the condensed quadratic within the bounds of the constants."""
         z = linearised.z[: self.n]
-        # A factor of a hundred at most, in the logarithm of a positive constant.
-        reach = np.where(self.variables.logarithmic, MAX_LOG_CHANGE, np.inf)
+        reach = self.variables.reach[: self.n]
         low, high = (edge[: self.n] - z for edge in self.variables.bounds())
         step = linearised.model.bounded_step(np.maximum(low, -reach), np.minimum(high, reach), damping)
         return linearised.condensed.step(step)

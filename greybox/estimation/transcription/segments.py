@@ -268,8 +268,6 @@ def estimate_segment_states(segmented: SegmentedProblem) -> ProjectedShooting:
     return projected
 
 
-# A positive constant stays within a factor ``e^4.6``, a hundred, of its start; no step of a joined search is longer.
-MAX_LOG_CHANGE = 4.6
 # Steps at most.
 RELAXATION_MAX_STEPS = 15
 # A step is the last one when it gained less than a hundredth of the cost, or hardly anything is left.
@@ -289,7 +287,7 @@ def fit_without_continuity(projected: ProjectedShooting) -> np.ndarray:
     v, start = projected.variables, np.zeros(projected.size)
     # 1 / std^2 of the logarithm.
     precision = np.where(v.logarithmic, PRIOR_WEIGHT, 0.0)
-    reach = np.where(v.logarithmic, MAX_LOG_CHANGE, np.inf)
+    reach = v.reach[: projected.size]
     low, high = projected.bounds()
 
     def evaluate(z: np.ndarray) -> Evaluation:

@@ -257,6 +257,11 @@ AT_NOISE = 1.1
 # Growth of the number of substeps that a fit which is not thorough follows: candidates that stray to stiff parameters would take all the
 # time.
 STIFF_GROWTH = 16
+# The same over whole records of a stiff model, in units of the noise: what gains less than a thousandth of it by a decade of a constant
+# stays where it is. Else a rate that the records do not show runs away, and the run with it.
+STIFF_PRIOR = 1e-3
+# Damping of the first step of a stiff model, as a share of the curvature (Marquardt's): its start need not be near.
+STIFF_DAMPING = 1e-3
 # A first part of whose movement less than this can be followed is too long for that start.
 FOLLOWED_SHARE = 0.5
 # When a search by simulation error has converged.
@@ -265,6 +270,18 @@ CONVERGENCE = minimisation.TerminationPolicy()
 CONVERGENCE_OF_CANDIDATES = replace(CONVERGENCE, patience=6, little_gain=1e-4)
 # The same over part of a record, which is only a way to a start: a tenth of a standard deviation will do.
 CONVERGENCE_IN_PART = replace(CONVERGENCE, negligible_decrease=0.01)
+
+
+def scale_slopes(evaluation: Evaluation, before: DecisionVector, after: DecisionVector) -> Evaluation:
+    """``evaluation`` at the present point of ``before`` along ``after``, which differs in its scales alone."""
+    if after is before:
+        return evaluation
+    # dp/dz of the constants, and the scales of the rest.
+    ratio = after.units / before.units
+    ratio[after.slices.parameters] = after.spans / before.spans
+    return replace(
+        evaluation, gradient=evaluation.gradient * ratio, hessian=evaluation.hessian * ratio[:, None] * ratio
+    )
 
 
 class _Search:
@@ -294,10 +311,11 @@ class _Search:
             self.return_to(begun)
         else:
             self.fit(1.0)
+        variables = self.variables.with_scales_of(problem.variables)
         return Solution(
             problem,
-            self.variables,
-            self.known or self.measure(1.0),
+            variables,
+            scale_slopes(self.known or self.measure(1.0), self.variables, variables),
             self.status,
             self.word,
             self.iterations,
@@ -392,8 +410,9 @@ class _Search:
             self.shares.append(share)
         # Variables in which a step of one changes the cost by about itself, and the evaluation along them.
         variables = self.variables.rescale(start.cost, np.diag(start.hessian) / 2)
-        ratio = variables.units / self.variables.units
-        start = replace(start, gradient=start.gradient * ratio, hessian=start.hessian * ratio[:, None] * ratio)
+        # Constants of a stiff model are rates, by decades apart.
+        variables = variables.with_logarithms() if self.problem.step.implicit else variables
+        start = scale_slopes(start, self.variables, variables)
         shooting = self.problem.shooting(variables, share)
         is_whole, low_high = share == 1, variables.bounds()
         if holds_constants:
@@ -402,20 +421,29 @@ class _Search:
         # A weak prior on positive constants, in units of the residual variance at the start, where part of the record leaves some open.
         held = variables.here
         variance = max(1.0, start.cost / max(start.count, 1))
-        variables.split(held).parameters[variables.logarithmic] = WEAK_PRIOR * variance
+        is_stiff = self.problem.step.implicit and self.options.thorough and not holds_constants
+        whole_prior = STIFF_PRIOR if is_stiff else 0.0
+        variables.split(held).parameters[variables.logarithmic] = whole_prior if is_whole else WEAK_PRIOR * variance
 
-        def evaluate_part(z: np.ndarray) -> Evaluation:
+        def evaluate_held(z: np.ndarray) -> Evaluation:
             e = shooting.evaluate(z)
             cost, gradient = e.cost + held @ z**2, e.gradient + 2 * held * z
             return replace(e, cost=cost, gradient=gradient, hessian=e.hessian + np.diag(2 * held))
 
         thorough = self.options.thorough and not holds_constants
+        method = MinimisationMethod.IPOPT if thorough else MinimisationMethod.GAUSS_NEWTON
+        solvers = self.options.policy.minimisation
+        # Along logarithms the curvature changes from step to step: an interior-point method leaves the record there.
+        if is_stiff:
+            method = MinimisationMethod.DAMPED_FIRST
+            solvers = replace(solvers, damped=replace(solvers.damped, initial_damping=STIFF_DAMPING))
         policy = (CONVERGENCE if thorough else CONVERGENCE_OF_CANDIDATES) if is_whole else CONVERGENCE_IN_PART
         outcome = minimise(
-            shooting.evaluate if is_whole else evaluate_part,
+            evaluate_held if held.any() else shooting.evaluate,
             variables.here,
             *low_high,
-            method=MinimisationMethod.IPOPT if thorough else MinimisationMethod.GAUSS_NEWTON,
+            method=method,
+            reach=variables.reach,
             scale=max(start.cost, TINY),
             value_at_start=start,
             tolerance=self.options.tolerance,
@@ -425,12 +453,14 @@ class _Search:
             progress=ProgressMonitor(
                 self.problem, self.report, share, len(self.shares), len(self.shares) + (share < 1)
             ),
-            policy=self.options.policy.minimisation,
+            policy=solvers,
         )
         self.variables, self.status, self.word = variables.recentre(outcome.z), outcome.status, outcome.solver_status
         self.solver = outcome.solver or self.solver
         self.iterations += outcome.iterations
         self.passes += outcome.evaluations
         self.seconds += outcome.seconds
-        self.known = outcome.value if share == 1 else None
+        self.known = outcome.value if is_whole else None
+        if is_whole and held.any():
+            self.known = self.measure(1.0)
         return outcome
