@@ -203,6 +203,21 @@ def test_published_constants_are_held(name):
     assert problem.squares({n: found.parameters[n].value for n in problem.names}) <= problem.squares({})
 
 
+@pytest.mark.rest
+@pytest.mark.parametrize(("name", "draw"), [("thermal chain", 2), ("thermal chain", 3), ("motor", 2)])
+def test_rates_from_anywhere_within_a_decade_are_found_and_none_runs_away(name, draw):
+    """Along a plain scale one step took a conductance that the record hardly shows to zero or to 1e20, and each run there to a second."""
+    problem = PROBLEMS[name]
+    std = dict(zip(problem.measured, problem.std.tolist(), strict=True))
+    generator = np.random.default_rng(1)
+    starts = [problem.draw_start(10.0, generator) for _ in range(draw)]
+    found = fit(problem.model().start(**starts[-1]), problem.record(), noise=std, options=FitOptions(at_rest=True))
+    values = {n: found.parameters[n].value for n in problem.names}
+    assert found.success
+    assert problem.squares(values) <= problem.squares({})
+    assert all(1e-5 < values[n] / problem.constants[n] < 1e5 for n in problem.names)
+
+
 def test_steps_that_follow_the_error_end_where_they_run_away():
     """A hard spring that is pressed by 1e8 m swings at 3e9 rad/s: over 4 s that asks for 1e11 of them."""
     model, record = driven(1e-3, 4.0, 1e3, 2.0)

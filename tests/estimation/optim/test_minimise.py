@@ -264,3 +264,21 @@ def test_an_interrupt_in_the_last_iteration_is_heard(method):
     result = minimise(objective, np.zeros(2), *free(2), method=method)
     assert asked and result.z == pytest.approx([3, 3], abs=1e-4)
     assert result.status is TerminationStatus.INTERRUPTED
+
+
+def test_damped_steps_go_no_farther_than_they_reach():
+    """A slope that dies away along a logarithm promises that a step without end gains what one of any length does."""
+    tried = []
+
+    def evaluate(z):
+        tried.append(float(z[0]))
+        residual, slope = np.array([0.1 + np.exp(-z[0])]), np.array([[-np.exp(-z[0])]])
+        return QuadraticModel(float(residual @ residual), 2 * slope.T @ residual, 2 * slope.T @ slope)
+
+    bound = np.full(1, np.inf)
+    minimise(evaluate, np.zeros(1), -bound, bound, method="damped_first", reach=np.full(1, 2.0), iterations=3)
+    steps = np.abs(np.diff(tried))
+    assert steps.max() == pytest.approx(2.0)
+    tried.clear()
+    minimise(evaluate, np.zeros(1), -bound, bound, method="gauss_newton", iterations=3)
+    assert np.abs(np.diff(tried)).max() > 2.0
