@@ -47,6 +47,8 @@ class ExportFinding(StrEnum):
     """The trapezoidal rule turns a fast real pole into an alternating one."""
     INPUT_BETWEEN_ROWS = "export_input_between_rows"
     """An effect says what the input does between the rows of a record."""
+    ABOUT_THE_MEANS = "export_about_the_means"
+    """No point was asked for and inputs act by products: the means of the records are taken."""
     ABOUT_A_RUN = "export_about_a_run"
     """The linear model is the answer to small changes along a run of a plant without equations."""
     PARAMETERS_NOT_DRAWN = "export_parameters_not_drawn"

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from greybox.base import Finding, ModelError, Severity, format_unit
@@ -17,6 +18,7 @@ from greybox.estimation.linear.operating_point import ModelFunctions, OperatingP
 from greybox.estimation.linear.sampling import sample
 from greybox.estimation.result import Fit
 from greybox.model import Model
+from greybox.simulation.linearise import differentiate_equations
 from greybox.simulation.plant import CanLinearise, Plant, PlantModel
 from greybox.simulation.simulate import declared_initial_state, simulate
 
@@ -150,7 +152,8 @@ def linearise(
     plant
         A fit, a model, or a plant.
     at
-        States and inputs by name, in the model's units; what it leaves out is solved for, see `find_operating_point`.
+        States and inputs by name, in the model's units; what it leaves out is solved for, see `find_operating_point`. None: inputs of
+        zero, or, of a fit whose inputs act by products, their means in its records.
     along
         The record along which a plant without equations is run, one that can linearise (`greybox.simulation.plant.CanLinearise`), such as
         an FMU; None: the longest of the fit.
@@ -183,13 +186,37 @@ def linearise(
     if along is not None:
         raise ModelError(f"{source.model.title} has equations: it is linearised about a point; give at=, not along=")
     functions = ModelFunctions(source.model)
-    linear = linearise_at(source, functions, source.p, at, dt, method, delay)
+    point = choose_point(source, functions, at)
+    linear = linearise_at(source, functions, source.p, point, dt, method, delay)
     inputs, outputs = (
         {n: float(v) for n, v in zip(names, values, strict=True)}
         for names, values in ((linear.input_names, linear.u0), (linear.output_names, linear.y0))
     )
     outside = source.find_extrapolation(inputs, outputs, OPERATING_POINT_EXTRAPOLATION)
+    if point and not at:
+        outside = (Finding(ExportFinding.ABOUT_THE_MEANS, Severity.NOTE, values={"inputs": dict(point)}), *outside)
     return replace(linear, findings=(*linear.findings, *outside))
+
+
+def choose_point(
+    source: ExportedModel, functions: ModelFunctions, at: Mapping[str, float] | None
+) -> Mapping[str, float] | None:
+    """``at``; where nothing is asked for and inputs act by products, the means of the inputs in the records of the fit.
+
+    Without any input such a model has no gain (a valve that is shut, a supply without pressure).
+    """
+    if at or source.fit is None:
+        return at
+    _, b, _, d = differentiate_equations(functions.system)
+    if not ca.depends_on(ca.vertcat(ca.vec(b), ca.vec(d)), functions.z):
+        return at
+    records = [t.experiment for t in source.fit.traces]
+    means = {i.name: float(np.mean(np.concatenate([r.inputs[i.name] for r in records]))) for i in source.model.inputs}
+    try:
+        solve_operating_point(functions, source.p, means)
+    except ModelError:  # the plant does not come to rest there: as without records
+        return at
+    return means
 
 
 def _linearise_run(

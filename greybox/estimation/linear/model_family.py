@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from greybox.base import TINY, Finding, ModelError, Printable, Severity, decompose_symmetric
 from greybox.estimation.linear.exported_model import ExportedModel, ExportFinding, to_plant
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
-from greybox.estimation.linear.linearise import linearise_at
+from greybox.estimation.linear.linearise import choose_point, linearise_at
 from greybox.estimation.linear.operating_point import ModelFunctions
 from greybox.estimation.result import Fit
 
@@ -324,7 +324,7 @@ def sample_family(
     distribution, functions = make_parameter_distribution(plant), ModelFunctions(plant.model)
     generator = np.random.default_rng(seed)
     parameters = np.array([distribution.draw(generator) for _ in range(number)])
-    settings = LinearisationSettings(at, dt, method, delay, minimal)
+    settings = LinearisationSettings(choose_point(plant, functions, at), dt, method, delay, minimal)
     nominal = _linearise_member(plant, functions, plant.p, settings)
     members = tuple(_linearise_member(plant, functions, p, settings) for p in parameters)
     different = next((member for member in members if member.state_names != nominal.state_names), None)

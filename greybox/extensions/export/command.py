@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.base import GreyboxError
+from greybox.base import GreyboxError, Severity
 from greybox.base.extensions import ExtensionKind, extension_names, load_extension
 from greybox.base.texts import to_word
 from greybox.extensions.export.target import ExportTarget
@@ -131,7 +131,8 @@ def _linear(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> t
     )
     plant = to_plant(fit, with_equations=False)
     for finding in (*whole.findings, *(drawn.findings if drawn else ())):
-        print_note(f"warning: {finding}")
+        # The file is written whatever is doubtful: an error of the fit is a warning here.
+        print_note(f"{'note' if finding.severity is Severity.NOTE else 'warning'}: {finding}")
     written = _write(kind, linear, target, plant=plant, family=drawn)
     # Findings of the whole model went to stderr above; those of the reduction belong to what is shown.
     shown = replace(linear, findings=linear.findings[len(whole.findings) :])

@@ -122,6 +122,10 @@ register(
             "{subject} says what the input did between the rows of the record; a step from sample to sample holds its input, so its"
             " outputs differ from those of the fit. Step it at a shorter interval, with the input that acts there"
         ),
+        ExportFinding.ABOUT_THE_MEANS: lambda finding: (
+            "inputs act by products and no operating point was chosen: it is linearised about the means of the inputs in the records, "
+            + ", ".join(f"{name} = {value:.4g}" for name, value in finding.values["inputs"].items())
+        ),
         ExportFinding.ABOUT_A_RUN: (
             "the plant is run from outside: the linear model is its answer to small changes of the inputs along {subject}, of"
             " which it follows {share:.0%} at least"

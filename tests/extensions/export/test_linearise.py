@@ -9,13 +9,16 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
 import greybox as gb
+from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError
 from greybox.estimation.linear.exported_model import ExportFinding as Code
 from greybox.estimation.linear.operating_point import find_operating_point
+from greybox.simulation.simulate import simulate_twin
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance
 from models.pneumatic_cylinder import pneumatic_cylinder
 from models.pneumatic_full import pneumatic_full
 from models.pneumatic_pva import pneumatic_pva
+from tests.support.findings import find
 
 COULOMB = (micro_actuator + gb.effect("coulomb_friction")).start(Fc=0.1)
 DEAD = (micro_actuator + gb.effect("input_dead_zone")).start(d=0.5)
@@ -395,3 +398,33 @@ def test_two_masses_on_one_shaft_turn_steadily():
     # Of a mass on a spring to the ground nothing turns steadily.
     with pytest.raises(ModelError, match="no equilibrium with z2 = 100"):
         gb.linearise(micro_actuator + gb.effect("second_mode"), {"z2": 100.0})
+
+
+FILLED = Model(
+    "filled",
+    [State("x", "m")],
+    [Input("d", "1"), Input("s", "m")],
+    [Output("x", "m")],
+    [Parameter("a", "1/s", 10.0, (0.1, 100.0)), Parameter("c", "1/s", 3.0, (0.1, 100.0))],
+    lambda x, u, p: [Balance("level", "m/s", 1, "x", filling=p.a * u.d * (u.s - x.x), leak=-p.c * x.x)],
+)
+
+
+def test_inputs_that_act_by_products_are_linearised_about_their_means_in_the_records():
+    rng = np.random.default_rng(1)
+    duty, supply = np.repeat(rng.integers(1, 10, 30) / 10, 10), 2 + 0.1 * np.sin(np.arange(300))
+    record = simulate_twin(FILLED, {"d": duty, "s": supply}, 0.02, {"x": 1e-3}, 1)
+    fitted = gb.fit(FILLED, record, noise={"x": 1e-3})
+    linear = gb.linearise(fitted)
+    a, c, d, s = fitted.parameters["a"].value, fitted.parameters["c"].value, duty.mean(), supply.mean()
+    # At rest a d (s - x) = c x.
+    level = a * d * s / (a * d + c)
+    assert linear.u0 == pytest.approx([d, s]) and linear.x0 == pytest.approx([level])
+    assert linear.A[0, 0] == pytest.approx(-(a * d + c)) and linear.B[0] == pytest.approx([a * (s - level), a * d])
+    assert find(linear.findings, Code.ABOUT_THE_MEANS).values["inputs"] == {"d": d, "s": s}
+    family = gb.export.sample_family(fitted, number=2)
+    assert family.nominal.x0 == pytest.approx([level])
+    asked = gb.linearise(fitted, {"d": 0.5, "s": 1.0})
+    assert asked.u0.tolist() == [0.5, 1.0] and find(asked.findings, Code.ABOUT_THE_MEANS) is None
+    # A model has no records: its inputs are zero.
+    assert gb.linearise(FILLED).u0.tolist() == [0.0, 0.0]

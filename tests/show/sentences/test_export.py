@@ -62,6 +62,11 @@ SENTENCES = {
         "linear_input says what the input did between the rows of the record; a step from sample to sample holds its input, so its"
         " outputs differ from those of the fit. Step it at a shorter interval, with the input that acts there",
     ),
+    Code.ABOUT_THE_MEANS: (
+        Finding(Code.ABOUT_THE_MEANS, values={"inputs": {"d": 0.45, "ps": 2e5}}),
+        "inputs act by products and no operating point was chosen: it is linearised about the means of the inputs in the records, d = 0.45,"
+        " ps = 2e+05",
+    ),
     Code.ABOUT_A_RUN: (
         Finding(Code.ABOUT_A_RUN, subject="r1", values={"share": 0.994}),
         "the plant is run from outside: the linear model is its answer to small changes of the inputs along r1, of which it follows 99% at"
