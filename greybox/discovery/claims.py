@@ -525,7 +525,7 @@ class _Context:
         if not nested:  # not even the plain model: its run goes astray, which is infinitely wrong
             return 1.0, 1.0, self.outputs[0]
         without = max(nested, key=lambda k: (len(self.forms[k]), -float(np.median(self.draws.errors[:, k]))))
-        before, after = (_judged_rms(sets[k].sums) for k in (without, best))
+        before, after = (sets[k].sums.judged_rms for k in (without, best))
         shares = 1 - after / np.maximum(before, TINY)
         output = int(np.nanargmax(np.where(before > 0, shares, -np.inf)))
         share, name = float(np.clip(shares[output], 0.0, 1.0)), self.outputs[output]
@@ -559,13 +559,7 @@ def _list_simpler(name: str) -> frozenset[str]:
 
 def measure_share(before: BlockSums, after: BlockSums) -> float:
     """Share of the rms error on the records that judge that one set takes beside another, in the output of which it takes most."""
-    return float(np.max(1 - _judged_rms(after) / np.maximum(_judged_rms(before), TINY)))
-
-
-def _judged_rms(sums: BlockSums) -> np.ndarray:
-    """Rms error of the free run by output (ny,) on the records that judge, over the noise."""
-    squares, counts = (each[sums.is_judging].sum(axis=0) for each in (sums.square, sums.count))
-    return np.asarray(np.sqrt(squares / np.maximum(counts, 1)))
+    return float(np.nanmax(1 - after.judged_rms / np.maximum(before.judged_rms, TINY)))
 
 
 def _title(forms: Sequence[EffectForm]) -> str:

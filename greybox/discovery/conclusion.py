@@ -60,6 +60,7 @@ from greybox.discovery.summary import list_law_ranges, summarise, summarise_laws
 from greybox.discovery.surrogate import Surrogate, fit_surrogate
 from greybox.discovery.table import RESAMPLES, Draws, FitTable
 from greybox.estimation import Fit
+from greybox.model.parts import read_parts
 
 # Standard errors over blocks of records that were not fitted which are more than chance.
 LEAST_DEVIATIONS = 2.0
@@ -287,8 +288,7 @@ def _describe(answer: SearchAnswer, surrogate: Surrogate | None, test: Validatio
     findings = answer.findings
     if surrogate is not None and surrogate.finished is not None:
         findings = (*findings, *_word_on(surrogate.finished))
-    fits = sorted((c for c in named if c.effects), key=lambda fit: fit.criterion)
-    ranking = [RankedCandidate(f.effects, f.noise_ratio, f.criterion - fits[0].criterion) for f in fits]
+    ranking = _rank(answer, [c for c in named if c.effects])
     laws = _describe_laws(answer)
     alternatives: list[tuple[str, ...]] = []
     if verdict is Verdict.AMBIGUOUS or (laws and not all(claim.is_established for claim in answer.names)):
@@ -327,6 +327,21 @@ def _describe(answer: SearchAnswer, surrogate: Surrogate | None, test: Validatio
         options=problem.options,
         laws=laws,
     )
+
+
+def _rank(answer: SearchAnswer, fits: Sequence[FittedCandidate]) -> list[RankedCandidate]:
+    """The sets that were fitted, those with the best criterion first."""
+    parts, table = read_parts(answer.search.problem.model), answer.search.table
+    ranking = []
+    for fit in sorted(fits, key=lambda fit: fit.criterion):
+        added = [b.effect for b in fit.model.bound_effects if b.effect.name not in fit.given]
+        rarest = min((parts.occurrence(e) for e in added), key=lambda kind: kind.probability)
+        behind = fit.criterion - min(f.criterion for f in fits)
+        constants = fit.free - answer.search.baseline.free
+        ranking.append(
+            RankedCandidate(fit.effects, fit.noise_ratio, behind, constants, rarest, table.judged_errors(fit))
+        )
+    return ranking
 
 
 def _describe_laws(answer: SearchAnswer) -> tuple[Law, ...]:

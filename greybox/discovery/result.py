@@ -25,26 +25,35 @@ from greybox.discovery.search import SelectionStep
 from greybox.discovery.surrogate import Surrogate, find_missing_sites
 from greybox.estimation import Estimate, Fit, FitOptions
 from greybox.estimation.reading_errors import OF_INSTRUMENTS
-from greybox.model.parts import read_parts
+from greybox.model.parts import Occurrence, read_parts
 
 
 @dataclass(frozen=True)
 class RankedCandidate:
-    """One candidate on the estimation records.
+    """One set of effects that was fitted.
 
     Parameters
     ----------
     effects
         Those of its model.
     misfit
-        Misfit over noise (`FittedCandidate.noise_ratio`).
+        Misfit over noise on the estimation records (`FittedCandidate.noise_ratio`).
     behind
-        How far its criterion lies behind that of the best one.
+        How far its criterion lies behind that of the best one there.
+    constants
+        How many constants the effects add.
+    occurrence
+        How often rigs with such parts have the rarest of the effects (`greybox.model.parts.Occurrence`).
+    errors
+        Rms error on the validation records by output, with the constants of the estimation records; empty for a set that nobody ran there.
     """
 
     effects: tuple[str, ...]
     misfit: float
     behind: float
+    constants: int
+    occurrence: Occurrence
+    errors: Mapping[str, float]
 
 
 # Entries of ``discovery.json`` that no class of the search has.

@@ -83,10 +83,15 @@ class BlockSums:
     reach: np.ndarray
 
     @property
-    def judged_error(self) -> float:
-        """Error on the records that judge, with the constants that the fitted records gave: rms over the noise, all outputs together."""
+    def judged_rms(self) -> np.ndarray:
+        """Rms error over the noise on the records that judge, with the constants of the fitted ones (ny,); nan where nothing was read."""
         squares, counts = (each[self.is_judging].sum(axis=0) for each in (self.square, self.count))
-        return float(np.sqrt(np.mean(squares[counts > 0] / counts[counts > 0])))
+        return np.sqrt(np.divide(squares, counts, out=np.full(squares.shape, np.nan), where=counts > 0))
+
+    @property
+    def judged_error(self) -> float:
+        """The same of all outputs together."""
+        return float(np.sqrt(np.nanmean(self.judged_rms**2)))
 
     def refit(self, drawn: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """The steps (R, n) to the optimum of each resample: ``drawn`` (R, B) counts its blocks, ``weight`` (ny,) its outputs."""
@@ -228,6 +233,14 @@ class FitTable:
             slopes = self.slopes(candidate)
             self._sums[id(candidate)] = candidate, None if slopes is None else slopes.sum_blocks()
         return self._sums[id(candidate)][1]
+
+    def judged_errors(self, candidate: FittedCandidate) -> dict[str, float]:
+        """Rms error of a set on the records that judge, by output; empty for one that has taken part in no draw."""
+        _, sums = self._sums.get(id(candidate), (None, None))
+        if sums is None:
+            return {}
+        rms = sums.judged_rms * self.scores.problem.noise_model.std
+        return {o.name: float(e) for o, e in zip(candidate.problem.model.outputs, rms, strict=True) if np.isfinite(e)}
 
     @property
     def blocks(self) -> int:

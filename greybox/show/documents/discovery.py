@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from greybox.base.numerics import TINY
 from greybox.discovery.claims import Depth, name_claim
 from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.findings import DiscoveryCode
+from greybox.discovery.holdout import worst_output
 from greybox.estimation.result import Fit
 from greybox.show.documents import tables
 from greybox.show.documents.fit import OPEN_RECORDS
@@ -20,7 +22,15 @@ from greybox.show.figures.figure import stretches_on_page, typeset_unit
 from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.show.sentences import discovery as words
 from greybox.show.sentences.registry import sentences
-from greybox.show.sentences.wording import capitalise, change_text, count_noun, record_text, value_with_unit
+from greybox.show.sentences.wording import (
+    capitalise,
+    change_text,
+    choose_prefix,
+    count_noun,
+    record_text,
+    value_with_unit,
+    with_unit,
+)
 
 if TYPE_CHECKING:
     from greybox.discovery import Discovery, HoldoutError
@@ -36,11 +46,7 @@ def describe_discovery(discovery: Discovery, *, command: str = "") -> doc.Docume
         f"Effects that {plain} lacks",
         discovery_answer(discovery),
         discovery_tone(discovery),
-        doc.Later(
-            lambda: (
-                [_effects_table(discovery)] if discovery.effects else [_candidates_table(discovery, LISTED_CANDIDATES)]
-            )
-        ),
+        doc.Later(_tables, discovery),
         doc.Later(_notes, discovery),
         doc.Later(_details, discovery),
         f"Which effect, if any, does {plain} lack?",
@@ -50,8 +56,8 @@ def describe_discovery(discovery: Discovery, *, command: str = "") -> doc.Docume
     )
 
 
-# Candidates that a terminal shows; a page has all.
-LISTED_CANDIDATES = 10
+# Sets of effects that an answer shows, the plain model and its own among them, and that its details list; a page has all.
+SHOWN_SETS, LISTED_SETS = 6, 12
 # An effect of the catalogue with no place in the model is no news in the text; one that should have worked is.
 FAILED_CODES = (DiscoveryCode.CANDIDATE_FAILED, DiscoveryCode.CANDIDATE_NOT_SIMULATED)
 
@@ -71,6 +77,37 @@ def discovery_answer(discovery: Discovery) -> str:
 def discovery_tone(discovery: Discovery) -> doc.Tone:
     """Green where the answer is certain; every other verdict asks for caution."""
     return TONES.get(discovery.verdict, doc.Tone.CAUTION)
+
+
+def _tables(discovery: Discovery) -> Iterator[doc.Block]:
+    """The effects of the answer; and where they are not the whole truth, what else was tried."""
+    if discovery.effects:
+        yield _effects_table(discovery)
+    if not discovery.effects or discovery.verdict in (Verdict.PARTLY, Verdict.UNKNOWN):
+        yield _sets_table(discovery, SHOWN_SETS)
+
+
+def _sets_table(discovery: Discovery, most: int | None = None) -> doc.TableBlock:
+    """The plain model, the answer, and the other sets of effects, those with the least error on the validation records first."""
+    output = worst_output(discovery.holdout)
+    error = discovery.holdout[output]
+    chosen = {e["name"] for e in discovery.effects}
+    tried = sorted(
+        discovery.ranking, key=lambda r: (set(r.effects) != chosen, r.errors.get(output, math.inf), r.behind)
+    )
+    factor, prefix = choose_prefix(error.unit, error.before)
+    rows = [["none", "", f"{factor * error.before:.3g}", "", ""]]
+    for r in tried[: None if most is None else most - 1]:
+        after = error.after if set(r.effects) == chosen else r.errors.get(output, math.nan)
+        taken = 100 * (1 - after / error.before)
+        cells = (
+            [f"{factor * after:.3g}", f"{taken:.0f} %" if taken > 0 else "grows"] if math.isfinite(after) else [""] * 2
+        )
+        rows.append([" + ".join(r.effects), str(r.constants), *cells, str(r.occurrence)])
+    unit = with_unit("", f"{prefix}{error.unit}").strip()
+    head = ["effects", "constants", f"error in {output}{unit and f' [{unit}]'}", "taken away", "on such rigs"]
+    note = "Errors are those on the validation records, with the constants that the estimation records gave."
+    return doc.TableBlock("Sets of effects", head, rows, note)
 
 
 def _notes(d: Discovery) -> Iterator[doc.Text]:
@@ -97,7 +134,7 @@ def _details(d: Discovery) -> Iterator[doc.Block]:
     if d.false_names:
         yield doc.Paragraphs([words.false_names_text(rate) for rate in d.false_names])
     if d.ranking:
-        yield _candidates_table(d, LISTED_CANDIDATES)
+        yield _sets_table(d, LISTED_SETS)
 
 
 def _effects_table(discovery: Discovery) -> doc.TableBlock:
@@ -297,15 +334,7 @@ def _candidates(discovery: Discovery) -> Iterator[doc.Block]:
         yield doc.FigureBlock(figure)
     if discovery.alternatives:
         yield doc.BulletList([f"{' + '.join(names)} explains the records as well." for names in discovery.alternatives])
-    yield doc.Details(f"All {count_noun(len(discovery.ranking), 'candidate')}", [_candidates_table(discovery)])
-
-
-def _candidates_table(discovery: Discovery, most: int | None = None) -> doc.TableBlock:
-    """The candidates, best first."""
-    rows = [[" + ".join(r.effects), f"{r.misfit:.4g}", f"{r.behind:.4g}"] for r in discovery.ranking[:most]]
-    least = "at least " * discovery.localisation.is_noise_bounded
-    note = "Behind: difference of Schwarz's criterion from that of the best candidate; 10 or more is decisive."
-    return doc.TableBlock("Candidates", ["candidate", f"{least}misfit/noise", "behind the best"], rows, note)
+    yield doc.Details(f"All {count_noun(len(discovery.ranking), 'candidate')}", [_sets_table(discovery)])
 
 
 def _parameters_before_after(discovery: Discovery) -> doc.TableBlock:
