@@ -18,6 +18,7 @@ from greybox.discovery.execution import FailureLog
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import ValidationSet, finish_fit
 from greybox.estimation.result_parts import Misfit, Trace, Validation
+from greybox.model.parts import Occurrence
 from tests.support.first_order import first_order
 
 SQUARES = np.random.default_rng(0).uniform(0.9, 1.1, 400)  # of a plain model whose error is about one
@@ -157,7 +158,11 @@ def test_an_effect_of_the_estimation_record_alone_is_no_answer(monkeypatch):
     (tried,) = with_code(found.conclusion, DiscoveryCode.NO_LOOK_ALIKE)
     assert "sensor_drift" in tried.subject
     assert "takes" not in str(found).partition("candidate ")[0].replace("takes away", "")
-    assert any("sensor_drift" in rank.effects for rank in found.ranking)  # what was tried is told
+    # What was tried is told, with its error on the day on which nothing drifted: that of a run which drifts by what it learnt.
+    tried = next(rank for rank in found.ranking if rank.effects == ("sensor_drift",))
+    assert (tried.constants, tried.occurrence) == (2, Occurrence.RARE)
+    assert tried.errors["y"] > error.before
+    assert "sensor_drift" in str(found).partition("taken away")[2].partition("note:")[0]
 
 
 def test_a_third_record_contradicts_that_only_noise_is_left():
