@@ -18,7 +18,7 @@ from greybox.estimation.linear.operating_point import ModelFunctions, OperatingP
 from greybox.estimation.linear.sampling import sample
 from greybox.estimation.result import Fit
 from greybox.model import Model
-from greybox.simulation.linearise import differentiate_equations
+from greybox.simulation.free_run import differentiate_equations
 from greybox.simulation.plant import CanLinearise, Plant, PlantModel
 from greybox.simulation.simulate import declared_initial_state, simulate
 
