@@ -89,6 +89,14 @@ class FailureLog:
         """Keep one, unless the same model failed in the same stage before."""
         self.entries.setdefault((stage, frozenset(effects)), SearchFailure(stage, effects, reason))
 
+    def find(self, stage: SearchStage, effects: tuple[str, ...]) -> SearchFailure | None:
+        """The failure of a model in a stage; None where it has not failed."""
+        return self.entries.get((stage, frozenset(effects)))
+
+    def replace(self, failure: SearchFailure) -> None:
+        """Keep a failure with more to say of it."""
+        self.entries[failure.stage, frozenset(failure.effects)] = failure
+
     def attempt(
         self, stage: SearchStage, effects: tuple[str, ...], run: Callable[[], Result], fallback: Fallback
     ) -> Result | Fallback:

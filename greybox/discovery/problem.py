@@ -16,6 +16,7 @@ from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.discovery.execution import NOT_SIMULATED, FailureLog, RefitExecutor, RefitJob, RefitOutcome, SearchStage
 from greybox.discovery.laws.terms import claimed_name, is_law
+from greybox.estimation.findings import locate_simulation_failure
 from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions, Transcription
@@ -385,7 +386,24 @@ class DiscoveryProblem:
         """Independent refits, in order, wherever they run."""
         fits: list[FittedCandidate | None] = self.executor.run(self, jobs)
         self.fitted.extend(fit for fit in fits if fit is not None)
+        for job, fit in zip(jobs, fits, strict=True):
+            failure = self.failures.find(SearchStage.REFIT, tuple(e.name for e in job.model.effects))
+            if fit is None and failure is not None and failure.reason == NOT_SIMULATED:
+                self.failures.replace(replace(failure, reason=self._explain_failure(job)))
         return fits
+
+    def _explain_failure(self, job: RefitJob) -> str:
+        """Where and why the run of a model breaks off that cannot be simulated from any of its starts: of the first of them."""
+        problem = _with_initial_states(self.prepare(job.model, most_substeps=self._most_substeps), job.beginning)
+        start = next(iter(job.starts), {})
+        variables = problem.variables.start_at(start)
+        failed = problem.shooting(variables).evaluate(variables.here).failed
+        if not failed:
+            return NOT_SIMULATED
+        own = {n: v for n, v in {**job.model.values, **start}.items() if n not in self.model.values}
+        listed = ", ".join(f"{name} = {value:.4g}" for name, value in own.items())
+        reason = locate_simulation_failure(problem, variables, *failed)
+        return f"no run from any starting point; from {listed}: {reason}; give its constants others, or leave it out (shell: --without)"
 
     def refit(self, job: RefitJob) -> FittedCandidate | None:
         """One refit in this process.

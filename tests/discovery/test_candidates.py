@@ -184,3 +184,14 @@ def test_a_stiff_candidate_is_tried_with_a_bounded_number_of_steps(monkeypatch):
     monkeypatch.setattr(gb.discovery.problem, "_rank_starts", lambda p, starts: tried.append(p.step.substeps) or [])
     assert np.isinf(problem.predict_cost(stiff, [stiff.values]))
     assert tried == [PREDICTION_SUBSTEPS, UNSTABLE_FACTOR * MAX_SUBSTEPS]
+
+
+def test_a_candidate_that_does_not_run_says_where_why_and_from_which_start():
+    train, _ = simulate_records(micro_actuator, {}, (2e-7, 5e-3), rows=100)
+    problem = DiscoveryProblem(micro_actuator, (train,), {"x": 2e-7, "i": 5e-3}, (), AT_REST)
+    wild = micro_actuator + gb.effect("cubic_stiffness")
+    name = next(n for n in wild.values if n not in micro_actuator.values)
+    model = wild.bound(**{name: (-1e30, 1e30)}).start(**{name: -1e25})
+    assert problem.refit_best(model, [model.values]) is None
+    (reason,) = (problem.failures.of_single_effects()[e.name] for e in model.effects)
+    assert f"from {name} = -1e+25" in reason and "experiment 1 fails at t = " in reason and "--without" in reason
