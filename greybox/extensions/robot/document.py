@@ -232,6 +232,10 @@ register(
             "axis {subject} is not in the record and is taken to stand at zero: its link is a part of what carries it"
         ),
         RobotCode.AXIS_WITHOUT_ROWS: "axis {subject} hardly moves, or its torque is not measured: nothing is said of its friction",
+        RobotCode.VELOCITY_LATE: lambda f: (
+            f"measured velocities of {join_names(f.values['joints'])} are {1e3 * f.values['low']:.2g} to"
+            f" {1e3 * f.values['high']:.2g} ms late behind the positions, as a filter does it: they are brought forward"
+        ),
         RobotCode.LONG_MEMORY: lambda f: (
             f"what is left of the torques remembers {f.values['memory']:.3g} s, and {f.values['rows']:.3g} s were recorded: the intervals"
             " may be too narrow; record ten times as long"

@@ -148,6 +148,11 @@ def identify_robot(
             f"robot {robot.name!r}: no axis moves for {LEAST_MOVING_ROWS} rows while its torque is measured, or fewer than"
             f" {LEAST_BLOCKS * LEAST_BLOCK_ROWS} rows are left between the ends; nothing can be fitted"
         )
+    step, late = log.motions[0].step, np.max([m.lags for m in log.motions], axis=0)
+    if (late > step).any():
+        names_late = [j.name for j, lag in zip(base.robot.axes, late, strict=True) if lag > step]
+        values = {"joints": names_late, "low": late[late > step].min(), "high": late.max()}
+        findings.append(Finding(RobotCode.VELOCITY_LATE, values=values))
     known = _weigh_description(base, prior, payloads)
     scale, free = _read_constants(robot, logs, axes, torque_constants)
     gauge = np.zeros_like(known)
@@ -371,8 +376,8 @@ def _find_unusual(
     best: dict[int, tuple[float, int, float]] = {}
     for k, column in enumerate(further):
         joint, kind = kind_of(base, column)
-        # A delay within one row is how rows are written.
-        least = 0.0 if kind.is_positive else step * (kind is LAG)
+        # A delay within two rows is how they are written: one between what a drive was told and when it reads, one until the position is.
+        least = 0.0 if kind.is_positive else 2 * step * (kind is LAG)
         is_possible = (promised.value[k] if kind.is_positive else abs(promised.value[k])) > least
         # Weighed by what is left of each joint, every joint has the same share of the squares.
         is_large = promised.decrease[k] > UNUSUAL_SHARE * left / len(joints)
@@ -466,7 +471,7 @@ class _Answer:
             # The largest constant of this unit on the link, or of all links where that is zero; many descriptions have no inertia.
             alike = np.maximum(np.abs(base.values), np.abs(self.values[: len(units)])) * (units == units[k])
             size = (alike * (links == links[k])).max() or alike.max()
-            value, std, interval = _spell(self.values[k], self.std[k], self.fit.quantile)
+            value, std, interval = _spell(self.values[k], self.std[k], self.fit.quantile[k])
             is_open = bool(self.fit.is_open[k] or interval[1] - value > OPEN_SHARE * size)
             described = float(base.values[k])
             made.append(BaseEstimate(name, base.describe(k), base.units[k], value, std, interval, described, is_open))
@@ -479,7 +484,7 @@ class _Answer:
             if column >= self.table.base and kind is not WIDTH and not (kind is GAIN and joint in self.free):
                 value = self.point.complete(kind, joint, self.values[k])
                 yield self._make_effect(
-                    column, _spell(value, self.std[k], self.fit.quantile), *self._grade(column, value)
+                    column, _spell(value, self.std[k], self.fit.quantile[k]), *self._grade(column, value)
                 )
 
     def list_torque_constants(self, scale: np.ndarray) -> tuple[TorqueConstant, ...]:
@@ -500,10 +505,10 @@ class _Answer:
             made.append(
                 TorqueConstant(
                     joint.name,
-                    *_spell(value, abs(value) * error, self.fit.quantile),
+                    *_spell(value, abs(value) * error, self.fit.quantile[place]),
                     f"{joint.units[1]}/A",
                     ratio,
-                    _spell(ratio, abs(ratio) * of_ratio, self.fit.quantile)[2],
+                    _spell(ratio, abs(ratio) * of_ratio, self.fit.quantile[place])[2],
                 )
             )
         return tuple(made)
@@ -592,10 +597,10 @@ class _Answer:
             RigidVerdict.PAYLOAD: fit(base.mixing[:, -10:], 1.0),
         }
         scaled = fits[RigidVerdict.SCALED]
-        factor, spread, between = _spell(scaled.x[0], scaled.std[0], scaled.quantile)
+        factor, spread, between = _spell(scaled.x[0], scaled.std[0], scaled.quantile[0])
         # The first of the ten constants is the mass, then come the first moments.
         loaded = fits[RigidVerdict.PAYLOAD]
-        mass, std, interval = _spell(loaded.x[0], loaded.std[0], loaded.quantile)
+        mass, std, interval = _spell(loaded.x[0], loaded.std[0], loaded.quantile[0])
         is_possible = {
             RigidVerdict.AS_DESCRIBED: has_level or abs(factor - 1) <= SCALED_DEVIATIONS * spread,
             RigidVerdict.SCALED: not has_level,
@@ -630,12 +635,14 @@ class _Answer:
             factor += float(heavier) if payload else 0.0
         if verdict is not RigidVerdict.OTHER:
             best = fits[verdict]
-            x, deviations, is_open = (v[-len(effects) :] for v in (best.x, best.std, best.is_open))
+            x, deviations, is_open, quantile = (
+                v[-len(effects) :] for v in (best.x, best.std, best.is_open, best.quantile)
+            )
             for k, column in enumerate(effects):
                 kind = kind_of(self.table.base, column)[1]
                 is_motor = kind is INERTIA and column not in self.chosen and not is_open[k]
                 if is_motor and x[k] > NAMED_DEVIATIONS * deviations[k]:
-                    spelled = _spell(x[k], deviations[k], free.quantile)
+                    spelled = _spell(x[k], deviations[k], quantile[k])
                     motors.append(self._make_effect(column, spelled, Grade.PROBABLE, 0.0, ""))
         return verdict, payload, findings, motors, factor
 

@@ -62,6 +62,8 @@ class Motion(ReadOnly):
         Standard deviation (n,) of a single reading of each position, in rad or m.
     is_measured
         Whether the velocity of each axis (n,) is that of a sensor of its own, because it is less noisy than the differentiated position.
+    lags
+        Seconds (n,) by which such a velocity was late, and is brought forward.
     """
 
     time: np.ndarray
@@ -73,6 +75,7 @@ class Motion(ReadOnly):
     cutoffs: np.ndarray
     noise: np.ndarray
     is_measured: np.ndarray
+    lags: np.ndarray
 
     def thin(self, every: int) -> Motion:
         """Every so many-th row."""
@@ -125,7 +128,7 @@ def reconstruct_motion(
     q, dq, ddq = np.empty((3, n, len(axes)))
     tau = np.column_stack([read(f"tau{k}" if f"tau{k}" in columns else f"i{k}") for k in axes])
     cutoffs, noise, quiet = np.empty((3, len(axes)))
-    is_measured = np.zeros(len(axes), bool)
+    lags, is_measured = np.zeros(len(axes)), np.zeros(len(axes), bool)
     for k, number in enumerate(axes):
         position, velocity = read(f"q{number}"), read(f"dq{number}")
         if not np.isfinite(position).all():
@@ -143,9 +146,11 @@ def reconstruct_motion(
             remaining = level * np.sqrt(2 * cutoff / rate)
             if remaining < quiet[k]:
                 is_measured[k], quiet[k] = True, remaining
-                cutoffs[k] = cutoff
                 velocity = velocity + shake * level * generator.normal(size=n)
-                dq[:, k] = _smooth(velocity, cutoff, rate)
+                lags[k] = _find_lag(q[:, k], velocity, min(cutoffs[k], cutoff) / 2, rate)
+                # What a filter of the sensor delays is brought forward.
+                dq[:, k] = np.interp(time + lags[k], time, _smooth(velocity, cutoff, rate))
+                cutoffs[k] = cutoff
         ddq[:, k] = _differentiate(dq[:, k], step)
     speed = np.sqrt(np.mean(dq**2, axis=0))
     is_moving = np.abs(dq) > np.maximum.reduce(
@@ -153,7 +158,18 @@ def reconstruct_motion(
     )
     swing = min(int(np.ceil(SWINGING_PERIODS * rate / cutoffs.min())) + len(FIRST_DIFFERENCE), n // 8)
     rows = slice(0, n) if keep_ends else slice(swing, n - swing)
-    return Motion(time[rows], q[rows], dq[rows], ddq[rows], tau[rows], is_moving[rows], cutoffs, noise, is_measured)
+    return Motion(
+        time[rows], q[rows], dq[rows], ddq[rows], tau[rows], is_moving[rows], cutoffs, noise, is_measured, lags
+    )
+
+
+def _find_lag(position: np.ndarray, velocity: np.ndarray, cutoff: float, rate: float) -> float:
+    """Seconds by which a velocity (N,) follows the position late, ``v = dq - lag ddq``, below a frequency."""
+    dq, v = (_smooth(x, cutoff, rate) for x in (_differentiate(position, 1 / rate), velocity))
+    inner = slice(len(dq) // 16, -(len(dq) // 16))
+    # The slope of the velocity is the instrument: its noise is not that of the position, which would make the lag small.
+    slope, late, ddq = (x[inner] for x in (_differentiate(v, 1 / rate), v - dq, _differentiate(dq, 1 / rate)))
+    return float(-(late @ slope) / (ddq @ slope)) if ddq @ slope else 0.0
 
 
 def _space_evenly(record: Experiment) -> tuple[np.ndarray, float]:

@@ -106,13 +106,18 @@ class BlockSolution(ReadOnly):
         return np.asarray(self.basis @ self.basis.T)
 
     @cached_property
+    def _rest(self) -> np.ndarray:
+        """Normal matrices (K, S, S) without each block, in the basis."""
+        blocks = self.basis.T @ self.sums.products[:, :-1, :-1] @ self.basis
+        # Leaving a block out may leave nothing to see of a direction: this much of the whole stays in, too little to weigh.
+        return np.asarray((1 + 1e-9) * np.eye(self.basis.shape[1]) - blocks)
+
+    @cached_property
     def without(self) -> np.ndarray:
         """The estimates (K, P) without each block."""
-        V = self.basis
-        blocks, rights = V.T @ self.sums.products[:, :-1, :-1] @ V, self.sums.products[:, :-1, -1] @ V
-        # Leaving a block out may leave nothing to see of a direction: this much of the whole stays in, too little to weigh.
-        rest = (1 + 1e-9) * np.eye(V.shape[1]) - blocks
-        return np.asarray(np.linalg.solve(rest, (rights.sum(axis=0) - rights)[:, :, None])[:, :, 0] @ V.T)
+        rights = self.sums.products[:, :-1, -1] @ self.basis
+        rest = (rights.sum(axis=0) - rights)[:, :, None]
+        return np.asarray(np.linalg.solve(self._rest, rest)[:, :, 0] @ self.basis.T)
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -126,10 +131,24 @@ class BlockSolution(ReadOnly):
         """Standard errors (P,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    @property
-    def quantile(self) -> float:
-        """Standard errors to either end of a 95 % interval: Student's, as the error itself is known from K blocks."""
-        return float(student.ppf(0.975, max(len(self.without) - 1, 1)))
+    @cached_property
+    def quantile(self) -> np.ndarray:
+        """Standard errors (P,) to either end of a 95 % interval: Student's, with the degrees of freedom that the blocks leave.
+
+        Where few blocks hold most of what tells a constant, its error is known from those alone (Bell, McCaffrey, 2002): were the noise
+        white, the estimates without each block would have the covariance ``G`` (K, K), and ``tr(G)^2 / tr(G^2)`` degrees of freedom.
+        """
+        K, V = len(self.without), self.basis
+        # The estimates without block k are V R_k V' h, so that G_kl = v' (R_k + R_l - R_k R_l) v, and v' R_k v on the diagonal.
+        a = np.linalg.solve(self._rest, np.broadcast_to(V.T, (K, *V.T.shape)))
+        own = np.einsum("ksp,ps->pk", a, V)
+        G = own[:, :, None] + own[:, None, :] - np.einsum("ksp,lsp->pkl", a, a)
+        G[:, range(K), range(K)] = own
+        G = G - G.mean(axis=1, keepdims=True)
+        G = G - G.mean(axis=2, keepdims=True)
+        squares = (G**2).sum(axis=(1, 2))
+        freedom = np.einsum("pkk->p", G) ** 2 / np.where(squares > 0, squares, np.inf)
+        return np.asarray(student.ppf(0.975, np.maximum(freedom, 1.0)))
 
     @cached_property
     def errors(self) -> np.ndarray:

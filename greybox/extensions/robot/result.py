@@ -19,6 +19,7 @@ class RobotCode(StrEnum):
 
     AXIS_HELD = "robot_axis_held"
     AXIS_WITHOUT_ROWS = "robot_axis_without_rows"
+    VELOCITY_LATE = "robot_velocity_late"
     LONG_MEMORY = "robot_long_memory"
     OPEN_CONSTANTS = "robot_open_constants"
     RIVAL = "robot_rival"

@@ -131,13 +131,13 @@ def _find_cycle(q: np.ndarray) -> int:
     # sum (q(t) - q(t + lag))^2 over the sum of both squares
     both = squares[count - lags] + squares[count] - squares[lags]
     differs = 1 - 2 * products / np.where(both > 0, both, 1.0)
-    far = int((differs > 0.5).argmax())
-    near = np.flatnonzero(differs[far : count // 2 + 1] < REPEATS) if far else np.array([], int)
-    return (
-        count
-        if not len(near)
-        else far + int(near[0] + differs[far + near[0] : count // 2 + 1][: count // 50 + 1].argmin())
-    )
+    # Far enough to have left where it began, and not so far that less than a third of the rows is left to compare.
+    far, last = int((differs > 0.5).argmax()), 2 * count // 3
+    near = np.flatnonzero(differs[far:last] < REPEATS)
+    if not far or not len(near):
+        return count
+    first = far + int(near[0])
+    return first + int(differs[first : min(last, first + count // 50)].argmin())
 
 
 def _label_blocks(motions: Sequence[Motion], cycle: int) -> np.ndarray:

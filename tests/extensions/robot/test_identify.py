@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import greybox as gb
 from greybox.base import DataError
@@ -14,9 +15,11 @@ from greybox.base.json_shape import to_json_data
 from greybox.discovery.decision import Grade
 from greybox.extensions.robot import RobotIdentification, find_base_parameters, identify_robot, read_robot
 from greybox.extensions.robot.description import to_pseudo_inertia
+from greybox.extensions.robot.motion import reconstruct_motion
 from greybox.extensions.robot.physical import find_physical_constants
 from greybox.extensions.robot.regression import BlockProducts, promise
 from greybox.extensions.robot.result import RigidVerdict
+from greybox.extensions.robot.table import make_log
 from tests.support.result_schema import strict_offences
 from tests.support.robots import CENTRES, DOUBLE_PENDULUM, INERTIAS, LENGTH, MASSES, TIP, joint_log, swing, write
 
@@ -92,6 +95,31 @@ def test_a_delay_of_the_torque_is_told_from_friction(arm: gb.robots.Robot) -> No
     found = identify_robot(arm, gb.Experiment("log", log.time, {}, late))
     assert {e.kind for e in found.effects} == {"torque_lag"}
     assert all(e.value == pytest.approx(0.006, rel=0.2) for e in found.effects)
+
+
+def test_a_velocity_that_a_filter_delays_is_brought_forward(arm: gb.robots.Robot) -> None:
+    log = joint_log(**HIDDEN)
+    # Encoders of 0.3 degrees, and velocities behind a filter of 20 Hz with its 8 ms.
+    coarse = {n: np.round(log.outputs[n] / 0.005) * 0.005 for n in ("q1", "q2")}
+    share = 1 - np.exp(-2 * np.pi * 20 * (log.time[1] - log.time[0]))
+    slow = {f"d{n}": lfilter([share], [1, share - 1], np.gradient(log.outputs[n], log.time)) for n in ("q1", "q2")}
+    found = identify_robot(arm, gb.Experiment("log", log.time, {}, {**log.outputs, **coarse, **slow}))
+    (late,) = [f.values for f in found.findings if f.code == "robot_velocity_late"]
+    # The last of the step's rows is let through at once.
+    delay = (1 - share) / share * (log.time[1] - log.time[0])
+    assert late["joints"] == ["shoulder", "elbow"] and late["low"] > 0.9 * delay and late["high"] < 1.1 * delay
+    assert {(e.joint, e.kind) for e in found.effects} == {
+        ("shoulder", "viscous_friction"), ("elbow", "coulomb_friction"), ("elbow", "torque_offset")
+    }  # fmt: skip
+
+
+def test_what_repeats_with_the_motion_is_one_block(arm: gb.robots.Robot) -> None:
+    # Twice eight seconds of one motion, less what the filter needs at both ends.
+    motion = reconstruct_motion(joint_log(), [1, 2])
+    log = make_log(find_base_parameters(arm), [motion], [False], 200)
+    assert log.cycle == pytest.approx(4000, abs=2) and log.blocks == 16
+    # Rows a cycle apart have the same block.
+    np.testing.assert_array_equal(log.labels[: len(log.labels) - log.cycle], log.labels[log.cycle :])
 
 
 def test_a_description_without_inertia_is_enough(tmp_path: Path) -> None:
@@ -197,6 +225,23 @@ def test_what_a_column_would_do_is_what_it_does() -> None:
     fit = sums.take([0, 1, 2]).fit()
     without_first = np.linalg.lstsq(rows[50:, :3], torque[50:], rcond=None)[0]
     np.testing.assert_allclose(fit.without[0], without_first, rtol=1e-7)
+
+
+def test_intervals_widen_where_few_blocks_hold_what_is_known() -> None:
+    generator = np.random.default_rng(3)
+    sizes = np.array([4.0, 3.0, 3.0, *[0.3] * 13])
+    inside, quantiles = [], []
+    for _ in range(400):
+        x = sizes[:, None] * generator.normal(size=(16, 30))
+        Z = np.stack([x, 2 * x + generator.normal(size=x.shape)], axis=2)
+        fit = BlockProducts(np.einsum("kri,krj->kij", Z, Z), np.full(16, 30.0)).fit()
+        inside.append(abs(fit.x[0] - 2) < fit.quantile[0] * fit.std[0])
+        quantiles.append(fit.quantile[0])
+    # Three blocks hold what there is: some two degrees of freedom, and not fifteen, whose quantile is 2.13.
+    assert 2.7 < np.median(quantiles) < 4.5
+    assert 0.92 < np.mean(inside) < 0.985
+    even = np.tile(np.array([[1.0, 0.5], [0.5, 2.0]]), (16, 1, 1))
+    assert BlockProducts(even, np.full(16, 30.0)).fit().quantile[0] == pytest.approx(2.131, abs=1e-3)
 
 
 def test_its_file_is_as_the_schema_says(hidden: RobotIdentification) -> None:
