@@ -141,9 +141,9 @@ class BlockSolution(ReadOnly):
         K, V = len(self.without), self.basis
         # The estimates without block k are V R_k V' h, so that G_kl = v' (R_k + R_l - R_k R_l) v, and v' R_k v on the diagonal.
         a = np.linalg.solve(self._rest, np.broadcast_to(V.T, (K, *V.T.shape)))
-        own = np.einsum("ksp,ps->pk", a, V)
-        G = own[:, :, None] + own[:, None, :] - np.einsum("ksp,lsp->pkl", a, a)
-        G[:, range(K), range(K)] = own
+        diagonal = np.einsum("ksp,ps->pk", a, V)
+        G = diagonal[:, :, None] + diagonal[:, None, :] - np.einsum("ksp,lsp->pkl", a, a)
+        G[:, range(K), range(K)] = diagonal
         G = G - G.mean(axis=1, keepdims=True)
         G = G - G.mean(axis=2, keepdims=True)
         squares = (G**2).sum(axis=(1, 2))
