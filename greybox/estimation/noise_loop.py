@@ -75,6 +75,9 @@ def keep_best(
     are compared; the best of them is handed out.
     """
     problem, status = solution.problem, solution.status
+    # At implicit steps of one length a start may look worse than it is.
+    if problem.step.implicit and not options.substeps:
+        problem = problem.with_stable_steps()
     is_failed = not (status.success or solution.is_single or status is TerminationStatus.INTERRUPTED)
     ended = solution.evaluation.cost if solution.is_run else np.inf
     if is_worse_in_part(solution, start, ended) and not is_failed:
@@ -91,8 +94,6 @@ def keep_best(
         evaluation = problem.shooting(variables).evaluate(variables.here)
         return replace(solution, variables=variables, evaluation=evaluation, transcription="single", joined=None)
     search = solve_plant if isinstance(problem.model, PlantModel) else solve_single_shooting
-    if problem.step.implicit and options.method == "automatic" and not options.substeps:
-        problem = problem.with_stable_steps()
     problem = replace(problem, variables=variables)
     again = search(problem, replace(options, progressive=False), report).with_work_of(solution)
     if not np.isfinite(again.evaluation.cost) or again.evaluation.cost > ended:

@@ -81,7 +81,7 @@ def run_freely(
     # Explicit steps that were not enough where a mode became fast on the way, and implicit ones of one length that jumped out of the
     # equations (a root of what is used up), say nothing of the model; steps that follow the error do.
     is_lost = not (substeps or step.per_interval or step.adaptive or np.isfinite(y).all())
-    stable = choose_implicit_method(model.system, record.lengths, alike=False) if is_lost else ""
+    stable = choose_implicit_method(model.system) if is_lost else ""
     if method == "automatic" and stable == ADAPTIVE:
         followed = run_freely(model, record, p, x0, method=stable, policy=policy)
         return followed if np.isfinite(followed[0]).all() else (y, x, step)

@@ -159,8 +159,7 @@ class EstimationProblem:
 
     def with_stable_steps(self) -> EstimationProblem:
         """The same with steps that follow the error in place of implicit ones of one length, where the model is smooth."""
-        lengths = np.unique(np.concatenate([r.lengths for r in self.records]))
-        method = choose_implicit_method(self.model.system, lengths, alike=False, written_out=self.written_out)
+        method = choose_implicit_method(self.model.system, written_out=self.written_out)
         if method != ADAPTIVE or self.step.adaptive:
             return self
         return replace(self, method=method).with_step(0, self.start_parameters)

@@ -17,7 +17,6 @@ from greybox.estimation.optim.gauss_newton import run_gauss_newton
 from greybox.estimation.optim.minimisation import Minimisation
 from greybox.estimation.options import DEFAULT_POLICY, FitOptions, Transcription, TranscriptionPolicy
 from greybox.estimation.transcription.problem import EstimationProblem, TranscriptionReason, make_strategy
-from greybox.estimation.transcription.single_shooting import CHECKED_ROWS, compute_change_over_noise
 from greybox.model import System
 from greybox.simulation.free_run import linearise_along
 from greybox.simulation.integrators.discretisation import choose_implicit_method
@@ -59,32 +58,11 @@ def select_transcription(problem: EstimationProblem, options: FitOptions) -> Tra
     # One that goes on from a solution keeps the steps that were found there.
     if proposal.implicit and problem.method == options.method == "automatic" and not options.substeps:
         problem = replace(problem, method=proposal.implicit).with_step(0, p)
-        if is_led_astray(problem):
-            problem = problem.with_stable_steps()
     if options.arc_length:
         return TranscriptionChoice(Transcription.ARCS, None, problem)
     if options.transcription != Transcription.AUTOMATIC:
         return TranscriptionChoice(Transcription(options.transcription), None, problem)
     return TranscriptionChoice(proposal.transcription, proposal.reason, problem)
-
-
-# Share of the misfit that half the step may change: more, and the search would follow the integrator.
-LEADING_SHARE = 0.1
-
-
-def is_led_astray(problem: EstimationProblem) -> bool:
-    """Whether half the step changes what a free run from the present point shows of the misfit."""
-    if problem.step.adaptive:
-        return False
-    parts = replace(problem, records=tuple(r.first(max(CHECKED_ROWS, len(r.u) // 4)) for r in problem.records))
-    coarse, fine = (each.shooting().simulate(each.variables.here) for each in (parts, parts.halve_step()))
-    with np.errstate(over="ignore", invalid="ignore"):  # of runs that go astray
-        pairs = zip(parts.records, fine, strict=True)
-        errors = np.concatenate([record.samples(record.y - y) for record, (y, _) in pairs]) / problem.noise.std
-        measured = np.isfinite(np.concatenate([record.samples(record.y) for record in parts.records]))
-        misfit = np.sqrt(np.sum(np.where(measured, errors, 0.0) ** 2, axis=0) / np.maximum(measured.sum(axis=0), 1))
-        change = compute_change_over_noise(problem, coarse, fine)
-        return bool(np.any(~(change <= LEADING_SHARE * misfit) & measured.any(axis=0)))
 
 
 def shorten_steps(problem: EstimationProblem, options: FitOptions) -> EstimationProblem | None:
@@ -278,7 +256,7 @@ def _propose_for_stiff(system: System, jacobians: np.ndarray, record: Record) ->
     if system.linear or substeps <= MAX_EXPLICIT_SUBSTEPS:
         return None
     values = {"fastest": 1 / fastest, "substeps": substeps}
-    if method := choose_implicit_method(system, record.lengths):
+    if method := choose_implicit_method(system):
         return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_IMPLICIT, values, method)
     if system.dry or system.updates or system.delays:
         return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_NOT_SMOOTH, values)

@@ -152,8 +152,6 @@ def solve_with_refined_steps(
     return solution
 
 
-# Implicit substeps in each interval, all of one length, beyond which steps that follow the error cost less.
-MOST_EQUAL_STEPS = 8
 # The change is looked at over the first quarter of every record, or so many rows: three more simulations of all of it cost too much.
 CHECKED_ROWS = 2000
 
@@ -190,10 +188,6 @@ def refine_step(
         needed = choose_substeps(system, p, visited, longest, relaxing=fast, policy=rules)
     needed = min(needed, policy.max_substeps)
     if is_too_coarse(error, problem, solution.evaluation):
-        if problem.step.implicit and 2 * used > MOST_EQUAL_STEPS and options.method == "automatic":
-            stable = problem.with_stable_steps()
-            if stable is not problem:
-                return stable, error
         return halved if needed <= halved.step.substeps else problem.with_substeps(needed), error
     return (problem.with_substeps(needed) if needed > used else None), error
 

@@ -156,7 +156,7 @@ def _try_out(model: Model, step: Step, p: np.ndarray, x0: np.ndarray, inputs: np
 
     path = run_step(step, p, x0, given, dt)
     if not np.isfinite(path).all():
-        method = choose_implicit_method(model.system, lengths, written_out=True)
+        method = choose_implicit_method(model.system, written_out=True)
         whole = np.isfinite(follow(method, IMPLICIT_SUBSTEPS)).all(axis=1) if method else np.zeros(len(path), bool)
         lost = np.flatnonzero(whole & ~np.isfinite(path).all(axis=1))
         if len(lost):

@@ -162,20 +162,15 @@ METHODS = ("automatic", "exact", *EXPLICIT, "mixed", *IMPLICIT, ADAPTIVE)
 MOST_EXPLICIT_SUBSTEPS = 1000
 
 
-def choose_implicit_method(
-    system: System, lengths: np.ndarray, *, alike: bool = True, written_out: bool = False
-) -> str:
+def choose_implicit_method(system: System, *, written_out: bool = False) -> str:
     """The method that suits a stiff model; "" where there is none.
 
-    Radau IIA for few states and intervals alike, whose steps are all the same (unless not ``alike``); else steps that follow the error,
-    for a smooth model. ``written_out``: only a step that can be written out as instructions.
+    Steps that follow the error for a smooth model: those of one length may agree with half of themselves where both jump over what
+    happens between two rows. Radau IIA for few states where the model is not smooth, or the step must be ``written_out`` as instructions.
     """
-    is_smooth = not (system.dry or system.updates or system.delays)
-    few = system.x.numel() <= MAX_IMPLICIT_STATES
-    longest, shortest = (float(f(lengths, initial=v)) for f, v in ((np.max, 0.0), (np.min, np.inf)))
-    if few and (written_out or not is_smooth or (alike and longest <= ALIKE_LENGTHS * shortest)):
-        return "radau"
-    return ADAPTIVE if is_smooth and not written_out and system.x.numel() <= MOST_STATES else ""
+    if not (written_out or system.dry or system.updates or system.delays) and system.x.numel() <= MOST_STATES:
+        return ADAPTIVE
+    return "radau" if system.x.numel() <= MAX_IMPLICIT_STATES else ""
 
 
 # Distinct interval lengths for which the exact hold is taken: each needs a matrix exponential of its own.
@@ -270,14 +265,14 @@ def discretise(
         return _make(system, "exact", (), 1, past)
     # As written out they take few states only, and steps that follow the error cannot be written out.
     if (method in IMPLICIT and system.x.numel() > MAX_IMPLICIT_STATES) or (method == ADAPTIVE and written_out):
-        method = choose_implicit_method(system, lengths, written_out=written_out) or method
+        method = choose_implicit_method(system, written_out=written_out) or method
     fast = find_fast_relaxing_states(system, p, x) if method == "mixed" else system.relaxing
     first = substeps or (
         # An implicit step is stable at any length; whether it is accurate is what ``target`` asks.
         1 if method in (*IMPLICIT, ADAPTIVE) else choose_substeps(system, p, x, longest, relaxing=fast, policy=policy)
     )
     if method == "automatic" and not substeps and first >= max(policy.max_substeps, MOST_EXPLICIT_SUBSTEPS):
-        implicit = choose_implicit_method(system, lengths, written_out=written_out)
+        implicit = choose_implicit_method(system, written_out=written_out)
         method, first = (implicit, 1) if implicit else (method, first)
 
     def make(count: int) -> Step:
