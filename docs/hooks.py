@@ -73,7 +73,7 @@ def on_files(files: Any, config: Any) -> Any:
     """Run the pages that a build runs; the pictures of the gallery join the files of the site."""
     from mkdocs.structure.files import File
 
-    run_study(FOLDER / "coming_from.md")
+    run_study(FOLDER / "tools.md")
     for page in sorted((FOLDER / "gallery").glob("*.md")):
         files.append(File.generated(config, f"gallery/{page.stem}.png", content=run_study(page)))
     return files

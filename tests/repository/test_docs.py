@@ -18,7 +18,7 @@ from tests.support.documented import ROOT, blocks, commands, missing, run_page, 
 DOCS = ROOT / "docs"
 # Pages that are run here, quickly: without the parts marked slow. The others are run by the slow tests.
 QUICK = (
-    "coming_from.md",
+    "tools.md",
     "equations.md",
     "own_model.md",
     "own_effect.md",
