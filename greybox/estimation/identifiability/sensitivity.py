@@ -304,7 +304,7 @@ def switch_on(model: Model, generator: np.random.Generator) -> Model:
     for _ in range(SWITCHING_ROUNDS if off else 0):
         # Movement of the outputs, as a share of their own, that a unit of each free constant makes.
         records = [_make_record(model, step, 1.0, generator) for step in choose_sampling_times(model)]
-        start = np.asarray(model.system.start_function(np.array(list(model.values.values())))[0]).ravel()
+        start = declared_initial_state(model)
         sensitivity = _compute_sensitivity(model, records, np.tile(start, (len(records), 1)), True, 1)
         slope = np.zeros(len(names))
         if sensitivity is not None:
@@ -340,7 +340,7 @@ RECHECK_BELOW = 1e-05
 def _compute_point(model: Model, at_rest: bool, amplitude: float, generator: np.random.Generator) -> Sensitivity | None:
     """One point, None where a run overflows. A second, finer run tells small singular values from integration error."""
     records = [_make_record(model, step, amplitude, generator) for step in choose_sampling_times(model)]
-    start = np.asarray(model.system.start_function(np.array(list(model.values.values())))[0]).ravel()
+    start = declared_initial_state(model)
     nudges = 1 + STATE_OFFSET * generator.uniform(-1, 1, (len(records), len(start))) * (not at_rest)
     factor = SUBSTEP_FACTOR
 
@@ -385,7 +385,7 @@ def _compute_wide_point(model: Model, at_rest: bool, generator: np.random.Genera
     Its records have inputs of any size and, unless ``at_rest``, begin anywhere between the bounds of the states. Each ends before it comes
     to a bound or overflows.
     """
-    start = np.asarray(model.system.start_function(np.array(list(model.values.values())))[0]).ravel()
+    start = declared_initial_state(model)
     bounds = np.array([s.bounds for s in model.all_states]).reshape(-1, 2)
     ranged = np.isfinite(bounds).all(axis=1) & (not at_rest)
     parts = []
@@ -479,17 +479,13 @@ def _compute_sensitivity(
             return None
         jacobians.append((np.std(residual, axis=0), jacobian))
         touched |= touches_bounds(model, shooting.simulate(variables.here)[0][1])
-    n, states_each = len(variables.which), int(free.sum())
+    n = len(variables.which)
     blocks = {}
     for j, output in enumerate(model.outputs):
         size = max(float(movement[j]) for movement, _ in jacobians) or 1.0
         # Over the movement of the output: outputs of any unit weigh alike.
         parts = [jacobian[:, j, :] / size for _, jacobian in jacobians]
-        states = np.zeros((sum(len(part) for part in parts), states_each * len(parts)))
-        row = 0
-        for e, part in enumerate(parts):
-            # First states of each record have columns of their own: a block diagonal.
-            states[row : row + len(part), states_each * e : states_each * (e + 1)] = part[:, n:]
-            row += len(part)
+        # First states of each record have columns of their own: a block diagonal.
+        states = block_diag(*(part[:, n:] for part in parts))
         blocks[output.name] = states, np.vstack([part[:, :n] for part in parts])
     return Sensitivity(blocks, BOUND_DOUBT if touched else INTEGRATION_DOUBT).compress()
