@@ -10,7 +10,7 @@ from functools import reduce
 
 import numpy as np
 
-from greybox.base import Finding, FitError, ModelError, Severity, nearest, read_versions
+from greybox.base import TINY, Finding, FitError, ModelError, Severity, nearest, read_versions
 from greybox.base.interrupts import HeldInterrupt, hold_interrupts
 from greybox.data.experiment import (
     Experiment,
@@ -75,11 +75,12 @@ from greybox.model.effects.scales import (
     bound_delays,
     count_starts,
     is_neutral,
+    list_delays_at_limit,
     list_effect_values,
     measure_scales,
 )
 from greybox.model.equations import declare
-from greybox.simulation.plant import Plant, as_model
+from greybox.simulation.plant import Plant, PlantModel, as_model
 from greybox.simulation.plant_kernel import PlantKernel
 from greybox.simulation.records import to_experiments
 
@@ -187,7 +188,8 @@ def fit(
     experiments, validation, quiet = (as_experiments(records, model) for records in (experiments, validation, quiet))
     refuse_repeated(experiments)
     # A delay may be as long as the records show it, where nobody has bounded it.
-    model = bound_delays(model, find_usual_interval(to_experiments(experiments)))
+    period = find_usual_interval(to_experiments(experiments))
+    model = bound_delays(model, period)
     # Refused before the work is done, and not after it.
     judges = mark_fitted(to_experiments(validation), experiments) if validation else ()
     optimum: Optimum
@@ -246,6 +248,21 @@ def fit(
     result = exchange.complete(assemble_fit(exchange.optimum, options)) if exchange else assemble_fit(optimum, options)
     if starts or notices:
         result = replace(result, starts=starts, findings=(*notices, *result.findings))
+    if longer := _lengthen_delays(model, result, period, experiments, options):
+        again = fit(
+            longer,
+            experiments,
+            noise=noise,
+            quiet=quiet,
+            colour=colour,
+            validation=validation,
+            skip=skip,
+            beginning=beginning,
+            options=options,
+            report=report,
+        )
+        if again.success and sum_errors(again, result) < len(result.misfit):
+            return again
     if held and result.success:
         freed = fit(result.model.free(*held), experiments, noise=noise, quiet=quiet, colour=colour, options=options)
         if freed.success:
@@ -271,6 +288,36 @@ def fit(
     if raise_on_failure and not result.success:
         raise FitError(f"fit of {model.title}: {result.solver.status_message}")
     return result
+
+
+# Delays, in rows, from which a longer one than at first is searched for: no two are farther apart than a factor of 1.3.
+LONGER_DELAYS = (16, 20, 26, 34, 44, 57, 74, 96, 125, 150)
+
+
+def _lengthen_delays(
+    model: Model, result: Fit, period: float, experiments: Experiment | Sequence[Experiment], options: FitOptions
+) -> Model | None:
+    """The model with its delays begun where the run fits best of longer ones; None where none has ended at the first limit.
+
+    The limit is ours and not the user's: an end there says nothing of the plant.
+    """
+    fitted = {q.name: result.model.values[q.name] for q in model.free_parameters}
+    names = list_delays_at_limit(model, fitted, period)
+    if not names or not result.success or model.noisy_states or isinstance(model, PlantModel):
+        return None
+    longest = LONGER_DELAYS[-1] * period
+    longer = model.bound(**dict.fromkeys(names, (0.0, longest))).start(**fitted)
+    # Noise that is known already: runs are compared, and nothing is fitted.
+    problem = prepare_problem(longer, experiments, result.noise.std, replace(options, loss="squares"))
+    begins = [fitted | dict.fromkeys(names, rows * period) for rows in LONGER_DELAYS]
+    variables = [problem.variables.with_values(begin) for begin in begins]
+    costs = [problem.shooting(v).evaluate(v.here).cost for v in variables]
+    return longer.start(**begins[int(np.nanargmin(costs))])
+
+
+def sum_errors(one: Fit, other: Fit) -> float:
+    """The errors of one fit over those of another, summed over the outputs."""
+    return sum(m.rmse / max(other.misfit[name].rmse, TINY) for name, m in one.misfit.items())
 
 
 def _say_what_held_would_be(result: Fit, freed: Fit, held: Sequence[str]) -> Fit:

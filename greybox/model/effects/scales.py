@@ -296,8 +296,10 @@ def tailor_to_record(entry: Effect, scales: Scales) -> Effect:
     return replace(entry, parameters=tuple(parameters))
 
 
-# Longest delay that is considered, in sampling periods: a longer one is seen with the naked eye.
+# Longest delay that is considered at first, in sampling periods: each is a column of the step's input.
 LONGEST_DELAY = 16.0
+# Share of it from which a delay has ended there.
+AT_LIMIT = 0.98
 
 
 def bound_delays(model: Model, period: float) -> Model:
@@ -318,6 +320,18 @@ def bound_delays(model: Model, period: float) -> Model:
         The same model, or one with other bounds of its delays.
     """
     return model.bound(**dict.fromkeys(list_untailored_delays(model), (0.0, LONGEST_DELAY * period)))
+
+
+def list_delays_at_limit(model: Model, values: Mapping[str, float], period: float) -> tuple[str, ...]:
+    """The delays of a model that `bound_delays` has bounded and that ended at this bound with ``values``: parameter -> value."""
+    limit = LONGEST_DELAY * period
+    return tuple(
+        q.name
+        for bound in model.bound_effects
+        if bound.effect.delay
+        for q in bound.parameters
+        if not q.fixed and q.bounds == (0.0, limit) and values.get(q.name, 0.0) >= AT_LIMIT * limit
+    )
 
 
 def list_untailored_delays(model: Model) -> tuple[str, ...]:
