@@ -400,8 +400,8 @@ class DiscoveryProblem:
         failed = problem.shooting(variables).evaluate(variables.here).failed
         if not failed:
             return NOT_SIMULATED
-        own = {n: v for n, v in {**job.model.values, **start}.items() if n not in self.model.values}
-        listed = ", ".join(f"{name} = {value:.4g}" for name, value in own.items())
+        constants = {n: v for n, v in {**job.model.values, **start}.items() if n not in self.model.values}
+        listed = ", ".join(f"{name} = {value:.4g}" for name, value in constants.items())
         reason = locate_simulation_failure(problem, variables, *failed)
         return f"no run from any starting point; from {listed}: {reason}; give its constants others, or leave it out (shell: --without)"
 
