@@ -15,8 +15,8 @@ from itertools import combinations
 
 import numpy as np
 
-from greybox.base import DataError, Finding, Severity
-from greybox.data.experiment import Experiment
+from greybox.base import TINY, DataError, Finding, Severity
+from greybox.data.experiment import Experiment, find_usual_interval
 from greybox.data.findings import RecordCode
 
 # Readings that nothing leads to expect and that must be the same in a part of two records: of a repetition each agrees by chance once in a
@@ -52,6 +52,8 @@ class SharedReadings:
         How many rows they share.
     start, second_start
         The row of each where these begin, counted from 0.
+    every
+        The row of the finer record, counted from there, that the other one kept: 1 where it kept all.
     """
 
     first: Experiment
@@ -59,6 +61,7 @@ class SharedReadings:
     rows: int
     start: int = 0
     second_start: int = 0
+    every: int = 1
 
     @property
     def place(self) -> str:
@@ -66,6 +69,10 @@ class SharedReadings:
         name = self.first.source or self.first.name
         if name == self.second.source and self.first.name == self.second.name:
             return "given twice"
+        if self.every > 1:
+            finer, coarser = sorted((self.first, self.second), key=lambda e: -e.rows)
+            one, other = (e.source or e.name for e in (coarser, finer))
+            return f"{one} is one in {self.every} rows of {other}"
         if self.rows == self.first.rows == self.second.rows:
             return f"the same data as {name}"
         mine, theirs = (f"{start + 1} to {start + self.rows}" for start in (self.second_start, self.start))
@@ -127,7 +134,29 @@ def _compare(first: _Readings, second: _Readings) -> SharedReadings | None:
     start = first.find_in(second)
     if start is not None:
         return SharedReadings(a, b, min(b.rows - start, a.rows), 0, start)
+    return _compare_thinned(first, second)
+
+
+def _compare_thinned(first: _Readings, second: _Readings) -> SharedReadings | None:
+    """What two records share of which one has a row for several of the other, as a measurement that was resampled has."""
+    steps = [find_usual_interval([r.experiment]) for r in (first, second)]
+    finer, coarser = (first, second) if steps[0] < steps[1] else (second, first)
+    every = round(max(steps) / max(min(steps), TINY)) if min(steps) > 0 else 1
+    if not 1 < every <= finer.experiment.rows / EVENTS:
+        return None
+    for offset in range(every):
+        start = coarser.find_in(_Readings(_thin(finer.experiment, every, offset)))
+        if start is not None:
+            return SharedReadings(first.experiment, second.experiment, coarser.experiment.rows, every=every)
     return None
+
+
+def _thin(experiment: Experiment, every: int, offset: int) -> Experiment:
+    """One in ``every`` rows of a record, from row ``offset``."""
+    rows = slice(offset, None, every)
+    inputs, outputs = ({n: v[rows] for n, v in group.items()} for group in (experiment.inputs, experiment.outputs))
+    noise = {n: v[rows] for n, v in experiment.noise.items()}
+    return replace(experiment, time=experiment.time[rows], inputs=inputs, outputs=outputs, noise=noise)
 
 
 @dataclass(frozen=True, eq=False)

@@ -155,3 +155,22 @@ def test_a_fit_refuses_copies_and_says_what_cannot_validate_it():
     assert finding.values["place"].startswith("rows 1 to 100 are the readings of rows 301 to 400 of run")
     fresh = fit(first_order(), whole.window(0, 300), validation=whole.window(300, 500))
     assert RecordCode.ALSO_FITTED not in [f.code for f in fresh.findings]
+
+
+@pytest.mark.parametrize(("every", "offset"), [(2, 0), (2, 1), (5, 3), (10, 0)])
+@pytest.mark.parametrize("decimals", [17, 6, 3])
+def test_a_copy_that_kept_one_row_in_several_is_the_same_measurement(every, offset, decimals):
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.choice([0.0, 1.0], 60), 20)
+    y = lag(u) + 0.02 * rng.normal(size=len(u))
+    whole, thin = (
+        record(y, u),
+        record(np.round(y[offset::every], decimals), u[offset::every], step=0.01 * every, begin=7.0),
+    )
+    for first, second in ((whole, thin), (thin, whole)):
+        (found,) = find_shared_readings([first, second])
+        assert (found.every, found.rows) == (every, len(y[offset::every]))
+        assert f"one in {every} rows" in found.place
+    # An experiment of the same plant at another rate is another measurement.
+    again = lag(u) + 0.02 * rng.normal(size=len(u))
+    assert not list(find_shared_readings([whole, record(again[offset::every], u[offset::every], step=0.01 * every)]))
