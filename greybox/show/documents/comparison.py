@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from greybox.base import document as doc
@@ -145,7 +145,8 @@ def summary_table(comparison: Comparison) -> doc.TableBlock:
 def _notes(comparison: Comparison) -> list[doc.Text]:
     """What the answer and its table leave out, the worst first."""
     findings = [f for f in comparison.verdict if f.code != ComparisonFinding.BEST_MODEL]
-    return [*worst_first(findings), *_remarks(comparison)]
+    # How predictions are corrected belongs to their errors, which stand behind --details and on the page.
+    return [*worst_first(findings), *_remarks(comparison, left_out=(ComparisonFinding.PREDICTION_FILTER,))]
 
 
 def _details(comparison: Comparison) -> Iterator[doc.Block]:
@@ -289,9 +290,10 @@ def structures(comparison: Comparison) -> Iterator[doc.Facts]:
         yield doc.Facts(entries, "Structures")
 
 
-def _remarks(comparison: Comparison) -> list[str]:
+def _remarks(comparison: Comparison, left_out: Collection[str] = ()) -> list[str]:
     """What is to be known of the comparison and of its models."""
-    of_models = [f"{e.name}: {sentence(finding)}" for e in comparison.entries for finding in e.findings]
+    findings = [(e.name, f) for e in comparison.entries for f in e.findings if f.code not in left_out]
+    of_models = [f"{name}: {sentence(finding)}" for name, finding in findings]
     return [*sentences(comparison.findings), *of_models]
 
 
