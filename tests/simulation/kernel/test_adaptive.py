@@ -221,8 +221,7 @@ def test_tangents_are_the_slopes_of_the_run(name):
         assert usual[:, :, k] == pytest.approx(slope, abs=5e-4 * np.abs(slope).max())
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [CASES[0], *(pytest.param(name, marks=pytest.mark.rest) for name in CASES[1:])])
 def test_without_a_compiler_the_numbers_are_the_same(name):
     model = case(name)[0]
     results = []
