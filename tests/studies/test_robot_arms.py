@@ -26,3 +26,11 @@ def test_nothing_is_said_of_an_arm_that_hides_nothing(tmp_path: Path) -> None:
 
     tally = study("double_pendulum", range(3), tmp_path, hides=False)
     assert tally.wrong == 0 and sum(tally.inside) >= 0.8 * len(tally.inside)
+
+
+@pytest.mark.slow
+def test_what_few_joints_have_is_named_as_well(tmp_path: Path) -> None:
+    from fits.robot_arms import study
+
+    tally = study("ur5", range(2), tmp_path, hides=True, rare=True)
+    assert tally.named >= 0.9 * tally.hidden and tally.wrong_as_certain == 0

@@ -252,8 +252,9 @@ register(
             " these units, and in the order of the axes?"
         ),
         RobotCode.GAIN: lambda f: (
-            f"{f.subject}: that its torque reads {f.values['gain']:.3g} times what it is holds beside the other joints; were all of"
-            f" these {1 / f.values['gain']:.3g} times what they are, it would look the same"
+            f"{f.subject} reads {f.values['gain']:.3g} times its torque if the other joints read right; were it these that read"
+            f" {1 / f.values['gain']:.3g} times theirs, it would look the same, with masses and frictions {f.values['gain']:.3g} times"
+            " those printed"
         ),
         RobotCode.TORQUE_LEVEL: lambda f: (
             "currents alone tell torque constants, masses and frictions but for one factor that all of them share: it is that at which"

@@ -134,9 +134,13 @@ def identify_robot(
     robot, axes, findings = _match_axes(robot, logs)
     base, count = find_base_parameters(robot), sum(log.rows for log in logs)
     names = [log.name for log in logs]
-    for name in payloads:
+    for name, mass in payloads.items():
         if name not in names:
             raise DataError(f"there is no record {name!r} to carry a payload; {nearest(name, names)}")
+        if mass <= 0 or mass != next(iter(payloads.values())):
+            raise DataError(
+                f"record {name!r} carries {mass:g} kg: a payload weighs more than nothing, and the same in all records that carry it"
+            )
 
     def read(shake: float = 0.0, every: int = 1) -> JointLog:
         motions = [reconstruct_motion(log, axes, shake).thin(every) for log in logs]
@@ -217,7 +221,7 @@ def _weigh_description(base: BaseParameters, prior: float, payloads: Mapping[str
         known = columns.T @ precision @ columns
     if payloads:
         known = np.insert(np.insert(known, [B] * 10, 0.0, axis=0), [B] * 10, 0.0, axis=1)
-        (mass,) = set(payloads.values())
+        mass = next(iter(payloads.values()))
         row = np.array([1.0, mass]) / (WEIGHED_SHARE * mass)
         known[np.ix_([B, -1], [B, -1])] += np.outer(row, row)
     return np.asarray(known)
@@ -240,14 +244,25 @@ def _read_constants(
 ) -> tuple[np.ndarray, list[int]]:
     """What each reading is multiplied by (n,) to be a torque, and the axes with a current of which that is not known."""
     columns = [set(log.inputs) | set(log.outputs) for log in logs]
-    currents = [k for k, number in enumerate(axes) if not any(f"tau{number}" in names for names in columns)
-                and any(f"i{number}" in names for names in columns)]  # fmt: skip
+    currents = []
+    for k, number in enumerate(axes):
+        # Where a record has both, its torque counts.
+        both = (f"tau{number}", f"i{number}")
+        readings = {next(name for name in both if name in names) for names in columns if names & {*both}}
+        if len(readings) == 2:
+            name = robot.axes[k].name
+            raise DataError(
+                f"joint {name!r} has its torque in one record and its current in another; bring them to one"
+            )
+        currents += [k] if readings == {f"i{number}"} else []
     names = [robot.axes[k].name for k in currents]
-    for name in constants:
+    for name, constant in constants.items():
         if name not in names:
             raise DataError(
                 f"robot {robot.name!r}: joint {name!r} has a torque constant and no current; {nearest(name, names)}"
             )
+        if not constant:
+            raise DataError(f"joint {name!r}: a torque constant of zero moves nothing")
     scale = np.array([constants.get(joint.name, 1.0) for joint in robot.axes])
     return scale, [k for k, name in zip(currents, names, strict=True) if name not in constants]
 
@@ -536,7 +551,9 @@ class _Answer:
         rich = [*self.chosen, *(c for c, s in zip(further, shares, strict=True) if s > SEPARABLE_SHARE)]
         fit, place = self.sums.take(rich).fit(), rich.index(column)
         beside = self.point.complete(kind, joint, fit.x[place])
-        if beside / fit.std[place] * np.sign(value) > CERTAIN_DEVIATIONS and share > CERTAIN_SHARE:
+        # Of two joints the readings tell which is larger, and not which is wrong.
+        is_known = kind is not GAIN or self.table.rows.any(axis=1).sum() > 2
+        if is_known and beside / fit.std[place] * np.sign(value) > CERTAIN_DEVIATIONS and share > CERTAIN_SHARE:
             return Grade.ESTABLISHED, share, ""
         errors = {c: self._fit([*without, c])[0].residual for c in further}
         rival = min(errors, key=errors.__getitem__, default=None)

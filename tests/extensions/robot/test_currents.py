@@ -91,6 +91,10 @@ def test_what_cannot_be_is_refused(arm: Robot, tmp_path: Path) -> None:
         identify_robot(arm, as_currents(log), torque_constants={"wrist": 1.0})
     with pytest.raises(DataError, match="no record 'loaded'"):
         identify_robot(arm, as_currents(log), payloads={"loaded": 1.0})
+    with pytest.raises(DataError, match="carries -1 kg"):
+        identify_robot(arm, as_currents(log), payloads={"log": -1.0})
+    with pytest.raises(DataError, match="'shoulder' has its torque in one record and its current in another"):
+        identify_robot(arm, [log, as_currents(log, axes=(1,), name="other")])
     bare = re.sub(r"<inertial>.*?</inertial>", "", DOUBLE_PENDULUM, flags=re.DOTALL)
     with pytest.raises(DataError, match="has no masses, and all torque constants are free"):
         identify_robot(read_robot(write(tmp_path / "bare.urdf", bare)), as_currents(log))
