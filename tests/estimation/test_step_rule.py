@@ -1,0 +1,44 @@
+"""A fit that has ended well never stands on steps that move its constants without a word: plants, ways of solving, methods and substeps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greybox import FitOptions, fit
+from greybox.estimation.findings import STEP_SHIFT, EstimationCode
+from tests.estimation.test_never_worse import METHODS, NOISE, driven, stiff
+
+SAID = {EstimationCode.INTEGRATION_TOO_COARSE, EstimationCode.STEP_MOVES_PARAMETERS}
+PLANTS = {
+    "hardening": lambda: driven(0.3, 4.0, 6.0, 2.0),
+    "hardening, few rows": lambda: driven(0.3, 4.0, 6.0, 2.0, period=0.2),
+    "two wells": lambda: driven(0.3, -4.0, 6.0, 2.0, rows=120, period=0.05),
+    "two wells, few rows": lambda: driven(0.3, -4.0, 6.0, 2.0, rows=120, period=0.15),
+    "falling, few rows": lambda: driven(0.3, -4.0, 0.01, 2.0, rows=60, period=0.1),
+    "Robertson": lambda: stiff("Robertson"),
+    "HIRES": lambda: stiff("HIRES"),
+}
+STIFF = ("Robertson", "HIRES")
+EVERYDAY = ("hardening, few rows", "two wells, few rows")
+
+
+@pytest.mark.parametrize("substeps", [0, 1])
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("transcription", ["single", pytest.param("multiple", marks=pytest.mark.rest)])
+@pytest.mark.parametrize("name", [n if n in EVERYDAY else pytest.param(n, marks=pytest.mark.rest) for n in PLANTS])
+def test_steps_that_move_the_constants_are_said(name, transcription, method, substeps):
+    """The oracle is a second fit, from the end of the first one, with half its steps."""
+    model, record = PLANTS[name]()
+    noise = None if name in STIFF else {"x": NOISE}
+    options = FitOptions(at_rest=True, other_starts=0, transcription=transcription, method=method, substeps=substeps)
+    found = fit(model, record, noise=noise, options=options)
+    if not found.success or SAID & {f.code for f in found.solver.details}:
+        return
+    used = found.solver.statistics
+    finer = replace(options, method=used["method"], substeps=2 * used["substeps"], progressive=False)
+    again = fit(found.model, record, noise=found.noise.std, options=finer)
+    for name, before in found.parameters.items():
+        if before.std and np.isfinite(before.std):
+            # A hundredth for what the searches themselves leave.
+            assert abs(again.parameters[name].value - before.value) < (STEP_SHIFT + 0.01) * before.std, name
