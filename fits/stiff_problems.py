@@ -48,8 +48,8 @@ def tanh(value: Any) -> Any:
 class StiffProblem:
     """Rates of states with constants and inputs, where they begin, what is measured when, and how noisy.
 
-    ``noise``: standard deviation over the range of each output. ``free``: constants that are fitted, all where none is named. ``read``:
-    formulas of the outputs that are no states.
+    ``noise``: standard deviation over the range of each output, one of all or each its own. ``free``: constants that are fitted, all where
+    none is named. ``read``: formulas of the outputs that are no states.
     """
 
     rates: Rates
@@ -59,7 +59,7 @@ class StiffProblem:
     measured: tuple[str, ...]
     inputs: Mapping[str, np.ndarray]
     free: tuple[str, ...] = ()
-    noise: float = 0.02
+    noise: float | tuple[float, ...] = 0.02
     read: Mapping[str, Callable[[Any, Any], Any]] = field(default_factory=dict)
 
     @property
@@ -125,7 +125,7 @@ class StiffProblem:
     @cached_property
     def std(self) -> np.ndarray:
         """The noise of each measured state (ny,)."""
-        return self.noise * np.ptp(self.truth, axis=0)
+        return np.asarray(self.noise) * np.ptp(self.truth, axis=0)
 
     @cached_property
     def data(self) -> np.ndarray:
