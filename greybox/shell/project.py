@@ -18,7 +18,7 @@ from typing import TypeVar
 from greybox.base import ExtensionKind, GreyboxError, ModelError, Printable, load_extensions, nearest
 from greybox.data.file_kinds import record_suffixes
 from greybox.model import Model
-from greybox.shell.study import find_plant_kind
+from greybox.shell.plants import find_plant_kind
 from greybox.simulation.plant import as_model, is_plant
 
 # The folder of a project with effects of its own.
