@@ -24,6 +24,7 @@ class RecordCode(StrEnum):
     SENSOR_SATURATED = "sensor_saturated"
     READING_COARSE = "reading_coarse"
     SENT_ON_CHANGE = "sent_on_change"
+    ROWS_ON_CHANGE = "rows_on_change"
     INPUT_TAKEN_STRAIGHT = "input_taken_straight"
     TIME_ROUNDED = "time_rounded"
     TIME_GAP = "time_gap"

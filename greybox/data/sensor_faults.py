@@ -39,6 +39,8 @@ def inspect_signals(
             step = find_reading_step(values) if _repeats_often(moves) else None
             if (sent := find_change_band(time, values)) is not None:
                 yield Finding(RecordCode.SENT_ON_CHANGE, subject=name, values={"band": sent.band, "held": sent.is_held})
+            elif inputs and (least := find_least_change(time, values)):
+                yield Finding(RecordCode.ROWS_ON_CHANGE, Severity.WARNING, name, {"band": least})
             elif step is not None and np.median(moves[moves > 0]) <= COARSE_MOVE * step:
                 yield Finding(RecordCode.READING_COARSE, subject=name, values={"step": step})
         gaps = int(np.isnan(values).sum())
@@ -140,6 +142,22 @@ def find_change_band(time: np.ndarray, values: np.ndarray) -> ChangeBand | None:
         return None
     repeats_soon = np.mean(moves[steps < usual] == 0) > REPEAT_SHARE
     return None if repeats_soon else ChangeBand(step, False)
+
+
+# The longest tenth of the intervals over the shortest, from which rows come when they must and not when a clock says.
+SPREAD_OF_ROWS = 3.0
+
+
+def find_least_change(time: np.ndarray, values: np.ndarray) -> float | None:
+    """The change below which a record has no row; None where rows come for another reason."""
+    rows = np.flatnonzero(np.isfinite(values))
+    steps, changes = np.diff(time[rows]), np.abs(np.diff(values[rows]))
+    if len(changes) < LEAST_CHANGES or len(np.unique(values[rows])) < LEAST_LEVELS:
+        return None
+    least = float(np.quantile(changes, SMALLER_CHANGES))
+    shortest, longest = np.quantile(steps, (0.1, 0.9))
+    is_band = least > 0 and least >= BAND_OF_CHANGE * np.median(changes)
+    return least if is_band and longest >= SPREAD_OF_ROWS * shortest else None
 
 
 # Rows with one value from which a sensor counts as frozen.

@@ -165,6 +165,12 @@ GOLDEN = {
         "output 'x' reads exactly its largest value, 0.9, in 60 rows and stays there 4 times: if the sensor or the converter saturates,"
         " leave these fields empty (an end stop of the plant looks the same)",
     ),
+    RecordCode.ROWS_ON_CHANGE: (
+        "w",
+        {"band": 15.02},
+        "there is a row only when output 'w' has changed by 15.02: when an input changed between two rows is not recorded, and constants of"
+        " fast motions take this up; log every change of the inputs too, or at a fixed rate",
+    ),
     RecordCode.INPUT_TAKEN_STRAIGHT: (
         "T_air",
         {},
