@@ -136,10 +136,14 @@ class SearchAnswer:
 
     @property
     def named(self) -> list[str]:
-        """Those that have a name, without curves that correct them, as they are called in claims; what such rigs usually have first."""
-        parts = read_parts(self.base.model)
-        named = [e for e in self.added if not is_shape_correction(e.name)]
-        return [claimed_name(e) for e in sorted(named, key=lambda e: -parts.occurrence(e).probability)]
+        """Those that have a name, without curves that correct them, as they are called in claims.
+
+        What takes most of the error comes first, and of what takes as much what such rigs usually have.
+        """
+        parts, shares = read_parts(self.base.model), {c.name: c.share for c in self.weighed if c.name}
+        named = [(claimed_name(e), e) for e in self.added if not is_shape_correction(e.name)]
+        ordered = sorted(named, key=lambda each: (-shares.get(each[0], 0.0), -parts.occurrence(each[1]).probability))
+        return [name for name, _ in ordered]
 
     @cached_property
     def noise_limits(self) -> dict[str, float]:

@@ -273,7 +273,8 @@ def validate_candidate(
     problem: DiscoveryProblem, candidate: FittedCandidate, validation: ValidationSet | Sequence[Experiment]
 ) -> Fit:
     """The candidate as a fit with intervals, from its own parameters and initial states, validated on other records."""
-    quick = replace(problem.options, progressive=False, thorough=False)
+    # It ends where it begins: what other starts or exchanged constants would do is no question here.
+    quick = replace(problem.options, progressive=False, thorough=False, other_starts=0, exchange=False)
     initial = estimated_initial_states(candidate)
     fit = estimate(candidate.model, problem.experiments, noise=candidate.problem.noise, initial=initial, options=quick)
     validation = ValidationSet.of(validation)

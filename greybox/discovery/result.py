@@ -318,7 +318,7 @@ class Discovery(Printable, StoredResult):
     def effects(self) -> list[FoundEffect]:
         """Name, site, parameters, grade, probability and share of each effect in the best model; none if the plain model is complete.
 
-        What is established comes first, and of what is as certain what such rigs usually have.
+        What is established comes first, then what takes most of the error, then what such rigs usually have.
         A law has its ``equation``, its ``formula`` and the ``range`` in which it was seen as well.
         """
         laws = {law.name: law for law in self.laws}
@@ -359,7 +359,7 @@ class Discovery(Printable, StoredResult):
                     entry["memory"] = law.memory
             usual[bound.effect.name] = parts.occurrence(bound.effect).probability
             effects.append(entry)
-        return sorted(effects, key=lambda e: (ranks.index(e["grade"]), -usual[e["name"]]))
+        return sorted(effects, key=lambda e: (ranks.index(e["grade"]), -(e["share"] or 0.0), -usual[e["name"]]))
 
 
 def quote_test_error(result: Discovery, plain: Fit, answer: Fit) -> Discovery:
