@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.discovery.candidates import estimate_scales, list_candidates
 from greybox.discovery.conclusion import leave_out_small
 from greybox.discovery.holdout import HoldoutScores, ValidationSet
@@ -12,22 +11,8 @@ from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.search import EffectSearch, StepKind
 from greybox.discovery.table import FitTable
+from tests.support.stage import STAGE
 
-STAGE = Model(
-    "stage",
-    states=[State("x", "m", role="displacement"), State("v", "m/s", role="velocity")],
-    inputs=[Input("F", "N", role="drive")],
-    outputs=[Output("x", "m")],
-    parameters=[
-        Parameter("M", "kg", 0.6, (0.01, 10.0)),
-        Parameter("K", "N/m", 300.0, (1.0, 1e5)),
-        Parameter("B", "N*s/m", 6.0, (0.01, 100.0)),
-    ],
-    balances=lambda x, u, p: [
-        Balance("position", "m/s", 1, "x", velocity=x.v),
-        Balance("force", "N", p.M, "v", drive=u.F, spring=-p.K * x.x, damping=-p.B * x.v),
-    ],
-)
 NOISE = 2e-5
 # Whole searches.
 pytestmark = pytest.mark.rest
