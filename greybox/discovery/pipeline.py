@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -236,6 +237,13 @@ def discover(
             given=tuple(effect.name for effect in model.effects),
             user_settings=FitSettings(dict(noise or {}), _as_tuple(quiet), options),
         )
+        # Where a record has to begin as it is told there are no stretches with first states of their own.
+        told = _tell_if_errors_grow(problem.baseline, options, not (options.at_rest or skip or beginning))
+        if told and (stretch := told[0].values["stretch"]):
+            problem = replace(problem, experiments=_cut(problem.experiments, stretch))
+            validation_set, test_set = (
+                replace(s, records=_cut(s.records, stretch)) for s in (validation_set, test_set)
+            )
         scales = _estimate_scales(problem)
         if laws and effects is not None and not effects:  # nothing of the catalogue
             listed = list_candidates(model, scales, problem.failures, beside) if beside else CandidateList(())
@@ -251,7 +259,7 @@ def discover(
             second_halves = ValidationSet(validation_set.records, half)
             answer = _search(wider, listed.effects, scales, second_halves, policy, on_message, further)
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
-        findings = (*findings, *_tell_if_errors_grow(answer.search.baseline, problem.options))
+        findings = (*findings, *told)
         result = conclude(answer, test_set, findings, problem if laws else None)
         if stuck := find_stuck_start(problem.baseline, result.base):
             result = replace(result, findings=(stuck, *result.findings))
@@ -346,14 +354,38 @@ def _explains_all(answer: SearchAnswer) -> bool:
     return fitted is not None and fitted.per_sample <= clean_cost_limit(fitted.count)
 
 
-def _tell_if_errors_grow(plain: FittedCandidate, options: FitOptions) -> tuple[Finding, ...]:
-    """That the records are too long for free runs of the plain model, which is unstable: claims rest on such runs."""
+# Factor by which an error may grow over a stretch: the records of an unstable plant are searched in such ones.
+STRETCH_GROWTH = math.e
+# Fewest rows of a stretch: its first states are estimated from it as well.
+LEAST_STRETCH_ROWS = 20
+
+
+def _tell_if_errors_grow(plain: FittedCandidate, options: FitOptions, is_cut: bool) -> tuple[Finding, ...]:
+    """That the records are too long for free runs of the plain model, which is unstable, and the ``stretch`` (s) over which they are run.
+
+    0 s where they are run as they are, whether that can be helped or not (``is_cut``): claims rest on such runs.
+    """
     choice = plain.choose_transcription(options)
     if choice.reason is None or choice.reason.code != TranscriptionReason.UNSTABLE:
         return ()
     # exp(rate duration) is the factor by which an error grows.
-    longest = math.log(options.policy.transcription.max_error_growth) / choice.reason.values["rate"]
-    return (Finding(DiscoveryCode.ERRORS_GROW, Severity.WARNING, values={**choice.reason.values, "longest": longest}),)
+    rate = choice.reason.values["rate"]
+    longest, stretch = (math.log(g) / rate for g in (options.policy.transcription.max_error_growth, STRETCH_GROWTH))
+    periods = [np.median(np.diff(e.time)) for e in plain.problem.experiments]
+    if not is_cut or stretch < LEAST_STRETCH_ROWS * max(periods):
+        stretch = 0.0
+    values = {**choice.reason.values, "longest": longest, "stretch": stretch}
+    return (Finding(DiscoveryCode.ERRORS_GROW, Severity.WARNING, values=values),)
+
+
+def _cut(records: Sequence[Experiment], stretch: float) -> tuple[Experiment, ...]:
+    """The records in parts of as many seconds at most, all of a record alike."""
+    parts: list[Experiment] = []
+    for record in records:
+        count = math.ceil(record.duration / stretch) if stretch else 1
+        ends = np.linspace(0, record.rows, count + 1).astype(int)
+        parts += [record.window(*pair) for pair in pairwise(ends.tolist())] if count > 1 else [record]
+    return tuple(parts)
 
 
 def _as_tuple(records: Records) -> tuple[Experiment, ...]:

@@ -140,8 +140,8 @@ class _Order:
             k
             for k, c in enumerate(sets)
             if c.effects
-            # One whose constants lead it astray on the records that judge is not handed over.
-            and self.draws.sets[k].sums.judged_error < plain
+            # Another one whose constants lead it astray on the records that judge would not be kept in the place of the answer.
+            and (c.names == self.answer.names or self.draws.sets[k].sums.judged_error < plain)
             and not c.laws
             and not any(map(is_shape_correction, c.effects))
         ]

@@ -76,6 +76,8 @@ MOST_EFFECTS = 4
 MOST_BASES = 4
 # Refits of a round: a one-step promise ranks the right effect first in four of five cases, and among the first ten nearly always.
 MOST_TRIED = 12
+# Of the plain model: one of each family and site of a usual rig. Far from its run an effect may do what no small amount of it promises.
+MOST_ALONE = 24
 # Refits beside each base at least.
 LEAST_TRIED = 2
 # Twice the log-likelihood that an effect must promise: of the best of fifty without meaning one in ten exceeds it.
@@ -92,6 +94,8 @@ NEAR_COST = 4.0
 HOPELESS_COST = 25.0
 # Sets that are refitted to the end in a round, and how near the best they must be in rms.
 MOST_FINISHED, FINISHED_RATIO = 4, 1.5
+# Share of the error on the fitted records that an effect takes which does not win, from which others are tried beside it.
+PAIR_SHARE = 0.1
 # Leading sets whose relatives are fitted in a round.
 MOST_RELATED = 2
 # Resamples that a round reads, and those that take part of the sets that were fitted.
@@ -160,7 +164,11 @@ class EffectSearch:
             is_new = key_of(best) != key_of(winner)
             self._keep_step(best, winner, is_new)
             winner = best
-            if not is_new or self.problem.executor.is_late or self._is_finished(winner):
+            if (
+                self.problem.executor.is_late
+                or self._is_finished(winner)
+                or not (is_new or self._is_worth_pairs(winner))
+            ):
                 break
         return winner
 
@@ -206,6 +214,12 @@ class EffectSearch:
             return False
         is_clean = fit.per_sample <= noise_cost_limit(fit.count)
         return is_clean and excess_autocorrelation(fit, AUTOCORRELATION_LAGS) <= EXCESS_AUTOCORRELATION
+
+    def _is_worth_pairs(self, winner: FittedCandidate) -> bool:
+        """Whether two effects may do together what none did alone: one takes much of what the fitted records show, and none wins."""
+        if winner.effects or any(len(fit.effects) > 1 for fit in self._best(MOST_BASES)):
+            return False
+        return any(fit.noise_ratio <= (1 - PAIR_SHARE) * winner.noise_ratio for fit in self._best(1))
 
     # What is tried
 
@@ -254,7 +268,8 @@ class EffectSearch:
         count = 0
         for base, promise, _ in ranked:
             root, place = self._root(promise.effect.name), (id(base), self._root(promise.effect.name))
-            if place in taken or (count >= MOST_TRIED and of_base.get(id(base), 0) >= LEAST_TRIED):
+            most = MOST_TRIED if base.effects else MOST_ALONE
+            if place in taken or (count >= most and of_base.get(id(base), 0) >= LEAST_TRIED):
                 continue
             taken.add(place)
             count, of_base[id(base)] = count + 1, of_base.get(id(base), 0) + 1

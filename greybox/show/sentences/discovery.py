@@ -573,9 +573,15 @@ register(
         # What a reader should know.
         DiscoveryCode.LEARNT_FROM_VALIDATION: "the plain model follows the estimation records and not the validation records: the first"
         " half of these was fitted as well, and their second half judges",
-        DiscoveryCode.ERRORS_GROW: "the plain model is unstable: an error grows by e^{exponent:.3g} over a record of {duration:.4g} s."
-        " Where something acts and what is claimed rests on free runs, which lose such a plant: take it for a guess, or cut the records"
-        " (up to {longest:.2g} s they are run freely)",
+        DiscoveryCode.ERRORS_GROW: lambda f: (
+            "the plain model is unstable: an error grows by e^{exponent:.3g} over a record of {duration:.4g} s."
+            + (
+                " The records are searched in stretches of {stretch:.2g} s, each with first states of its own"
+                if f.values["stretch"]
+                else " Where something acts and what is claimed rests on free runs, which lose such a plant: take it for a guess, or cut"
+                " the records (up to {longest:.2g} s they are run freely)"
+            )
+        ).format(**f.values),
         DiscoveryCode.TIME_OVER: "from {seconds:.3g} s on, as asked, the search began no further fit: this is the best answer so far,"
         " and no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
         DiscoveryCode.SEEN_THROUGH_RESPONSE: lambda f: (
