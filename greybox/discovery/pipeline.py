@@ -238,8 +238,8 @@ def discover(
             user_settings=FitSettings(dict(noise or {}), _as_tuple(quiet), options),
         )
         # Where a record has to begin as it is told there are no stretches with first states of their own.
-        told = _tell_if_errors_grow(problem.baseline, options, not (options.at_rest or skip or beginning))
-        if told and (stretch := told[0].values["stretch"]):
+        unstable = _tell_if_errors_grow(problem.baseline, options, not (options.at_rest or skip or beginning))
+        if unstable and (stretch := unstable[0].values["stretch"]):
             problem = replace(problem, experiments=_cut(problem.experiments, stretch))
             validation_set, test_set = (
                 replace(s, records=_cut(s.records, stretch)) for s in (validation_set, test_set)
@@ -259,7 +259,7 @@ def discover(
             second_halves = ValidationSet(validation_set.records, half)
             answer = _search(wider, listed.effects, scales, second_halves, policy, on_message, further)
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
-        findings = (*findings, *told)
+        findings = (*findings, *unstable)
         result = conclude(answer, test_set, findings, problem if laws else None)
         if stuck := find_stuck_start(problem.baseline, result.base):
             result = replace(result, findings=(stuck, *result.findings))
@@ -357,7 +357,7 @@ def _explains_all(answer: SearchAnswer) -> bool:
 # Factor by which an error may grow over a stretch: the records of an unstable plant are searched in such ones.
 STRETCH_GROWTH = math.e
 # Fewest rows of a stretch: its first states are estimated from it as well.
-LEAST_STRETCH_ROWS = 20
+LEAST_STRETCH_ROWS = 10
 
 
 def _tell_if_errors_grow(plain: FittedCandidate, options: FitOptions, is_cut: bool) -> tuple[Finding, ...]:

@@ -219,5 +219,8 @@ def test_a_record_over_which_an_unstable_plant_loses_its_free_run_is_told(rows, 
     )
     told = with_code(found.findings, DiscoveryCode.ERRORS_GROW)
     assert bool(told) is is_told
-    if told:  # e^(5 t) is 20 after 0.6 s
+    if told:  # e^(5 t) is 20 after 0.6 s, and e after 0.2 s: 4 s are searched in 20 stretches or one more, of one plant
         assert told[0].values["longest"] == pytest.approx(0.6, rel=0.05)
+        assert told[0].values["stretch"] == pytest.approx(0.2, rel=0.05)
+        rate = found.base.parameters["a"]
+        assert len(found.base.traces) in (20, 21) and abs(rate.value - 5.0) < 3 * rate.std < 0.5
