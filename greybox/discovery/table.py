@@ -335,11 +335,18 @@ def _judge_draws(sets: tuple[FittedSet, ...], squares: np.ndarray, left: np.ndar
 
 
 def _find_shared(sets: Sequence[FittedSet], best: int) -> list[int]:
-    """For each set the one that holds what it has in common with the best, and no more; the largest part of that which is there."""
-    names = [set(s.candidate.effects) for s in sets]
-    common = [each & names[best] for each in names]
-    parts = sorted(range(len(sets)), key=lambda k: -len(names[k]))
-    return [next((k for k in parts if names[k] <= each and k != best), parts[-1]) for each in common]
+    """For each set the one that holds what it has in common with the best, and no more; the largest part of that which is there.
+
+    Of sets that differ by curves alone, which have no name, it is the smallest: all that they have names for is in question.
+    """
+    names = [{name for name in s.candidate.effects if not is_shape_correction(name)} for s in sets]
+    plainest = min(range(len(sets)), key=lambda k: len(sets[k].candidate.effects))
+    whole = [k for k, s in enumerate(sets) if len(s.candidate.effects) == len(names[k]) and k != best]
+    parts = sorted(whole, key=lambda k: -len(names[k]))
+    return [
+        plainest if each == names[best] else next((k for k in parts if names[k] <= each & names[best]), plainest)
+        for each in names
+    ]
 
 
 def _standard_errors(behind: np.ndarray, left: np.ndarray) -> np.ndarray:
