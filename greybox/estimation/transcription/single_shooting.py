@@ -404,8 +404,9 @@ class _Search:
             self.shares.append(share)
         # Variables in which a step of one changes the cost by about itself, and the evaluation along them.
         variables = self.variables.rescale(start.cost, np.diag(start.hessian) / 2)
-        # Constants of a stiff model are rates, by decades apart.
-        variables = variables.with_logarithms() if self.problem.step.implicit else variables
+        # Constants of a stiff model are rates, by decades apart. A brief look at a candidate begins beside an effect that is hardly there.
+        is_stiff = self.problem.step.implicit and self.options.thorough and not holds_constants
+        variables = variables.with_logarithms() if is_stiff else variables
         start = scale_slopes(start, self.variables, variables)
         shooting = self.problem.shooting(variables, share)
         is_whole, low_high = share == 1, variables.bounds()
@@ -415,7 +416,6 @@ class _Search:
         # A weak prior on positive constants, in units of the residual variance at the start, where part of the record leaves some open.
         held = variables.here
         variance = max(1.0, start.cost / max(start.count, 1))
-        is_stiff = self.problem.step.implicit and self.options.thorough and not holds_constants
         whole_prior = STIFF_PRIOR if is_stiff else 0.0
         variables.split(held).parameters[variables.logarithmic] = whole_prior if is_whole else WEAK_PRIOR * variance
 
@@ -437,7 +437,7 @@ class _Search:
             variables.here,
             *low_high,
             method=method,
-            reach=variables.reach,
+            reach=variables.reach if is_stiff else np.inf,
             scale=max(start.cost, TINY),
             value_at_start=start,
             tolerance=self.options.tolerance,
