@@ -55,6 +55,8 @@ class RankedCandidate:
     occurrence: Occurrence
     errors: Mapping[str, float]
 
+    KEYS: ClassVar[str] = "effects misfit behind constants? occurrence? errors?"
+
 
 # Entries of ``discovery.json`` that no class of the search has.
 

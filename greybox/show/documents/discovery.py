@@ -96,16 +96,17 @@ def _sets_table(discovery: Discovery, most: int | None = None) -> doc.TableBlock
         discovery.ranking, key=lambda r: (set(r.effects) != chosen, r.errors.get(output, math.inf), r.behind)
     )
     factor, prefix = choose_prefix(error.unit, error.before)
-    rows = [["none", "", f"{factor * error.before:.3g}", "", ""]]
+
+    def quote(size: float) -> str:
+        return with_unit(f"{factor * size:.3g}", f"{prefix}{error.unit}")
+
+    rows = [["none", "", quote(error.before), "", ""]]
     for r in tried[: None if most is None else most - 1]:
         after = error.after if set(r.effects) == chosen else r.errors.get(output, math.nan)
         taken = 100 * (1 - after / error.before)
-        cells = (
-            [f"{factor * after:.3g}", f"{taken:.0f} %" if taken > 0 else "grows"] if math.isfinite(after) else [""] * 2
-        )
+        cells = [quote(after), f"{taken:.0f} %" if taken > 0 else "grows"] if math.isfinite(after) else [""] * 2
         rows.append([" + ".join(r.effects), str(r.constants), *cells, str(r.occurrence)])
-    unit = with_unit("", f"{prefix}{error.unit}").strip()
-    head = ["effects", "constants", f"error in {output}{unit and f' [{unit}]'}", "taken away", "on such rigs"]
+    head = ["effects", "constants", f"error in {output}", "taken away", "on such rigs"]
     note = "Errors are those on the validation records, with the constants that the estimation records gave."
     return doc.TableBlock("Sets of effects", head, rows, note)
 
