@@ -60,9 +60,12 @@ def test_a_hum_is_a_tone_at_its_site_and_explains_the_gap(found):
     assert surrogate.tone.beginning == pytest.approx(0.083, abs=1e-3)
     assert surrogate.explained_fraction > 0.98
     assert np.abs(surrogate.curve).max() == pytest.approx(FORCE, rel=0.01)
-    # What was tried of the catalogue does no better than the plain model, and is not said.
-    tone = found.conclusion[-1]
-    assert tone.code == DiscoveryCode.SURROGATE_FITTED and not found.effects
+    # The tone explains more than what was tried of the catalogue, which does no better than the plain model and is said behind it.
+    tone, beside = found.conclusion[-2:]
+    assert (tone.code, beside.code) == (
+        DiscoveryCode.SURROGATE_FITTED,
+        DiscoveryCode.NO_LOOK_ALIKE,
+    ) and not found.effects
     assert tone.values["tone"]["alike"] == ["sensor of x"]
 
 
