@@ -138,11 +138,13 @@ class SearchAnswer:
     def named(self) -> list[str]:
         """Those that have a name, without curves that correct them, as they are called in claims.
 
-        What takes most of the error comes first, and of what takes as much what such rigs usually have.
+        What is established comes first, then what takes most of the error, then what such rigs usually have.
         """
-        parts, shares = read_parts(self.base.model), {c.name: c.share for c in self.weighed if c.name}
+        parts, ranks = read_parts(self.base.model), list(Grade)
+        said = {c.name: (ranks.index(c.grade), -c.share) for c in self.claims if c.name}
         named = [(claimed_name(e), e) for e in self.added if not is_shape_correction(e.name)]
-        ordered = sorted(named, key=lambda each: (-shares.get(each[0], 0.0), -parts.occurrence(each[1]).probability))
+        unsaid = ranks.index(Grade.STAND_IN), 0.0
+        ordered = sorted(named, key=lambda each: (*said.get(each[0], unsaid), -parts.occurrence(each[1]).probability))
         return [name for name, _ in ordered]
 
     @cached_property
