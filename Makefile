@@ -28,8 +28,9 @@ test test-rest: export OPENBLAS_NUM_THREADS = 1
 test: $(VENV)/.installed-test ## run the everyday tests, in three minutes (the studies: make test ARGS="-m slow")
 	$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
 
+# A file's tests share what is dear (a search, a page in the browser that each goes on with): one worker has them all.
 test-rest: $(VENV)/.installed-test ## run the others: whole searches, browser, compilers, clusters, pages that are run
-	$(BIN)/python -m pytest -n $(WORKERS) -m "rest and not slow" $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "rest and not slow" $(ARGS)
 
 lint: $(VENV)/.installed-dev ## check style, format and types
 	$(BIN)/ruff check .

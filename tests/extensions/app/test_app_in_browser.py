@@ -200,8 +200,6 @@ def test_friction_is_added_with_a_click_and_fitted(page) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the lock that holds the search is one of POSIX")
-# It waits for ever beside another worker, and passes alone.
-@pytest.mark.slow
 def test_discover_can_be_stopped_and_finds_the_friction(page, served) -> None:
     _, folder = served
     page.click("button[aria-label='Remove coulomb_friction']")
@@ -231,8 +229,6 @@ def test_discover_can_be_stopped_and_finds_the_friction(page, served) -> None:
     settled(page)
 
 
-# It waits for ever beside another worker, and passes alone.
-@pytest.mark.slow
 def test_everything_is_exported_and_the_study_is_one_that_greybox_reads(page, served) -> None:
     _, folder = served
     page.click("#export")
@@ -245,8 +241,6 @@ def test_everything_is_exported_and_the_study_is_one_that_greybox_reads(page, se
     assert 'effects = ["coulomb_friction"]' in study and re.search(r"^Fc = 0\.[45]", study, re.MULTILINE)
 
 
-# It waits for ever beside another worker, and passes alone.
-@pytest.mark.slow
 def test_undo_goes_back_to_the_model_before(page) -> None:
     page.click("#undo")
     page.wait_for_selector(".constant[data-name=Fc]", state="detached")
