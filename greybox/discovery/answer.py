@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 from greybox.base import Check, Finding
-from greybox.discovery.claims import NO_GROUNDS, Claim, Grounds, grade_claims, name_claim, read_verdict
+from greybox.discovery.claims import NO_GROUNDS, Claim, Grounds, grade_claims, name_claim, order_of_name, read_verdict
 from greybox.discovery.decision import Conclusion, Decision, Grade, Verdict, judge_rest, make_check, visible_rms_limit
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.execution import SearchStage
@@ -136,16 +136,10 @@ class SearchAnswer:
 
     @property
     def named(self) -> list[str]:
-        """Those that have a name, without curves that correct them, as they are called in claims.
-
-        What is established comes first, then what takes most of the error, then what such rigs usually have.
-        """
-        parts, ranks = read_parts(self.base.model), list(Grade)
-        said = {c.name: (ranks.index(c.grade), -c.share) for c in self.claims if c.name}
-        named = [(claimed_name(e), e) for e in self.added if not is_shape_correction(e.name)]
-        unsaid = ranks.index(Grade.STAND_IN), 0.0
-        ordered = sorted(named, key=lambda each: (*said.get(each[0], unsaid), -parts.occurrence(each[1]).probability))
-        return [name for name, _ in ordered]
+        """Those that have a name, without curves that correct them, as they are called in claims, in the order of an answer."""
+        parts = read_parts(self.base.model)
+        named = [(claimed_name(e), parts.occurrence(e)) for e in self.added if not is_shape_correction(e.name)]
+        return [name for name, _ in sorted(named, key=lambda each: order_of_name(self.claims, *each))]
 
     @cached_property
     def noise_limits(self) -> dict[str, float]:

@@ -36,6 +36,7 @@ from greybox.discovery.surrogate_effects import CLOCK, CURVE, LINEAR_DYNAMICS, T
 from greybox.discovery.table import BlockSums, Draws
 from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import AT, all_effects
+from greybox.model.parts import Occurrence
 from greybox.model.system import BoundEffect
 
 
@@ -638,6 +639,12 @@ def to_grade(probability: float) -> Grade:
 def name_claim(claims: Sequence[Claim], effect: str) -> Claim | None:
     """What is claimed of one effect by name; None where it is not."""
     return next((c for c in claims if c.depth is Depth.NAME and c.name == effect), None)
+
+
+def order_of_name(claims: Sequence[Claim], effect: str, occurrence: Occurrence) -> tuple[int, float, float]:
+    """Where an effect stands in an answer: what is established first, then what takes most of the error, then what such rigs have."""
+    claim = name_claim(claims, effect) or Claim(Depth.NAME, "")
+    return list(Grade).index(claim.grade), -claim.share, -occurrence.probability
 
 
 def deepest_established(claims: Sequence[Claim]) -> Claim | None:

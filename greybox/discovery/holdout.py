@@ -389,13 +389,6 @@ class HoldoutScores:
             self._runs[key] = self.problem.failures.attempt(SearchStage.HOLDOUT, candidate.effects, run, None)
         return self._runs[key]
 
-    def score(self, candidate: FittedCandidate) -> float:
-        """Rms simulation error over noise, all outputs together; infinite where the model fails."""
-        run = self.run(candidate)
-        if run is None:
-            return np.inf
-        return run.noise_ratio if np.isfinite(run.noise_ratio) else np.inf
-
     def adapt(self, candidate: FittedCandidate) -> AdaptedRun | None:
         """Its run on the counted rows once constants and first states moved within their uncertainty; None where it fails.
 
@@ -445,16 +438,6 @@ class HoldoutScores:
         charge = self.charge(adapted)
         left = {name: charge[name] + _mean_square(r) for name, r in adapted.residuals.items()}
         return {name: max(m.rmse**2 - left[name], 0.0) for name, m in run.misfit.items()}
-
-    def square_errors(self, candidate: FittedCandidate, blocks: int, *, adapted: bool = False) -> dict[str, np.ndarray]:
-        """By output the mean square error (B,) in about ``blocks`` blocks of equal length; empty where the model fails.
-
-        Of the free run, or ``adapted`` to the records (`adapt`): the one is what a user sees, the other compares forms.
-        """
-        run = self.adapt(candidate) if adapted else None
-        if run is None:
-            return errors_by_block(self._free_residuals(candidate), blocks)
-        return errors_by_block(run.residuals, blocks, self.charge(run))
 
 
 def block_errors(validation: Validation, uncounted: int, blocks: int) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NotRequired, TypedDict
 
 from greybox.base import Check, FileKind, Finding, Finite, Interval, Printable, StoredResult, read_json
 from greybox.data.input_course import Holds
-from greybox.discovery.claims import Claim, name_claim
+from greybox.discovery.claims import Claim, name_claim, order_of_name
 from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.effect_signal import EffectSignal, RemainingError
@@ -26,6 +26,7 @@ from greybox.discovery.surrogate import Surrogate, find_missing_sites
 from greybox.estimation import Estimate, Fit, FitOptions
 from greybox.estimation.reading_errors import OF_INSTRUMENTS
 from greybox.model.parts import Occurrence, read_parts
+from greybox.model.system import BoundEffect
 
 
 @dataclass(frozen=True)
@@ -325,12 +326,18 @@ class Discovery(Printable, StoredResult):
         """
         laws = {law.name: law for law in self.laws}
         given = {effect.name for effect in self.base.model.effects}  # the user's own are not found by the search
+        parts = read_parts(self.base.model)
         effects: list[FoundEffect] = []
-        parts, ranks = read_parts(self.base.model), list(Grade)
-        usual: dict[str, float] = {}
-        for bound in self.best.model.bound_effects:
-            if is_shape_correction(bound.effect.name) or bound.effect.name in given:
-                continue
+        added = [
+            b
+            for b in self.best.model.bound_effects
+            if not is_shape_correction(b.effect.name) and b.effect.name not in given
+        ]
+
+        def order(bound: BoundEffect) -> tuple[int, float, float]:
+            return order_of_name(self.claims, claimed_name(bound.effect), parts.occurrence(bound.effect))
+
+        for bound in sorted(added, key=order):
             parameters: dict[str, FoundConstant] = {}
             for name, in_model in bound.model_names.items():
                 estimate = self.best.parameters.get(in_model)
@@ -359,9 +366,8 @@ class Discovery(Printable, StoredResult):
                 }
                 if law.memory:
                     entry["memory"] = law.memory
-            usual[bound.effect.name] = parts.occurrence(bound.effect).probability
             effects.append(entry)
-        return sorted(effects, key=lambda e: (ranks.index(e["grade"]), -(e["share"] or 0.0), -usual[e["name"]]))
+        return effects
 
 
 def quote_test_error(result: Discovery, plain: Fit, answer: Fit) -> Discovery:

@@ -219,7 +219,8 @@ class EffectSearch:
         """Whether two effects may do together what none did alone: one takes much of what the fitted records show, and none wins."""
         if winner.effects or any(len(fit.effects) > 1 for fit in self._best(MOST_BASES)):
             return False
-        return any(fit.noise_ratio <= (1 - PAIR_SHARE) * winner.noise_ratio for fit in self._best(1))
+        best = self._best(1)
+        return bool(best) and best[0].noise_ratio <= (1 - PAIR_SHARE) * winner.noise_ratio
 
     # What is tried
 

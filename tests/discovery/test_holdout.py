@@ -13,6 +13,7 @@ from greybox.discovery.holdout import (
     HoldoutError,
     HoldoutScores,
     ValidationSet,
+    block_errors,
     finish_fit,
     worst_output,
 )
@@ -34,7 +35,7 @@ def test_the_worst_output_is_so_in_units_of_its_noise():
     assert worst_output(errors) == "i"
 
 
-SELECTED, GOOD = (candidate(cost, name) for cost, name in ((10, "s"), (30, "g")))
+SELECTED = candidate(10, "s")
 
 
 class FakeRuns(HoldoutScores):
@@ -48,13 +49,10 @@ class FakeRuns(HoldoutScores):
         return Validation({"x": Misfit(1.0, "m", 0.0, 2.0, len(residual))}, (trace,))
 
 
-def test_square_errors_are_those_of_blocks_without_the_first_rows():
+def test_block_errors_leave_the_first_rows_out():
     residual = np.concatenate([[9.0, 9.0], np.ones(10), 2 * np.ones(10)])
-    scores = FakeRuns({("s",): residual, ("g",): None}, ValidationSet((), skip=2))
-    assert scores.square_errors(SELECTED, 2)["x"] == pytest.approx([1.0, 4.0])
-    assert scores.square_errors(GOOD, 2) == {}
-    assert scores.score(SELECTED) == 2.0
-    assert scores.score(GOOD) == np.inf
+    scores = FakeRuns({("s",): residual}, ValidationSet((), skip=2))
+    assert block_errors(scores.run(SELECTED), scores.validation.uncounted, 2)["x"] == pytest.approx([1.0, 4.0])
 
 
 def test_a_model_that_fails_on_the_validation_records_is_out_with_its_reason():
@@ -66,8 +64,7 @@ def test_a_model_that_fails_on_the_validation_records_is_out_with_its_reason():
             raise FitError("on purpose")
 
     scores = HoldoutScores(problem, Failing(("no record",)))
-    assert scores.score(SELECTED) == np.inf
-    assert scores.score(SELECTED) == np.inf
+    assert scores.run(SELECTED) is None and scores.adapt(SELECTED) is None
     (failure,) = failures.entries.values()
     assert failure.stage is SearchStage.HOLDOUT
 
@@ -76,7 +73,7 @@ def test_a_bug_of_the_library_ends_the_run():
     """It must not pass for a model that fails, which would turn a name into *unknown*."""
     problem = SimpleNamespace(failures=FailureLog(), noise_std={}, run_options=None)
     with pytest.raises(TypeError):
-        HoldoutScores(problem, ValidationSet(("no record",))).score(SELECTED)
+        HoldoutScores(problem, ValidationSet(("no record",))).run(SELECTED)
 
 
 def test_the_beginning_of_a_record_does_not_count():

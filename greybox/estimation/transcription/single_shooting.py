@@ -437,6 +437,7 @@ class _Search:
             variables.here,
             *low_high,
             method=method,
+            # Elsewhere a constant may have to come from far: an effect begins nearly absent.
             reach=variables.reach if is_stiff else np.inf,
             scale=max(start.cost, TINY),
             value_at_start=start,
