@@ -11,6 +11,7 @@ import greybox as gb
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.blackbox.prediction_error import PredictionErrorPolicy
 from greybox.comparison.result import ComparisonFinding, ComparisonPolicy
+from models.emps import emps
 
 pytestmark = pytest.mark.rest
 
@@ -108,8 +109,6 @@ def test_an_output_error_behind_an_integrator_is_that_of_a_plain_search():
 
 
 def test_the_servo_drive_is_at_the_published_linear_error(shared_data):
-    from models.emps import emps
-
     train, test = (gb.read_csv(shared_data / "emps" / name, emps) for name in ("train.csv", "test.csv"))
     model = gb.blackbox.output_error(train, nb=2, nf=2, offset=True)
     error = (test.outputs["q"] - model.simulate(test, rows=20)["q"])[20:]

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.model.effects.catalogue import applicable_effects
+from models.micro_actuator import micro_actuator
 from tests.support.first_order import first_order
 
 PERIOD, ROWS = 0.02, 300
@@ -172,7 +173,5 @@ def test_right_signs_are_left_alone(name):
 
 
 def test_a_model_that_lists_what_its_plant_may_lack_is_asked_for_its_wires_too():
-    from models.micro_actuator import micro_actuator
-
     names = {e.name for e in applicable_effects(micro_actuator)}
     assert {"reversed_input", "reversed_reading", "reversed_reading_at_i"} <= names
