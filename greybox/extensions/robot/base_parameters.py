@@ -18,6 +18,7 @@ from scipy.linalg import solve_triangular
 from greybox.base.values import ReadOnly
 from greybox.extensions.robot.description import INERTIAL_NAMES, INERTIAL_UNITS, JointKind, Robot
 from greybox.extensions.robot.rigid_body import RigidBody
+from greybox.model import Parameter
 
 # Random states give so many times more rows than there are columns.
 ROWS_PER_COLUMN = 3
@@ -60,6 +61,15 @@ class BaseParameters(ReadOnly):
     def values(self) -> np.ndarray:
         """Of the description (B,)."""
         return np.asarray(self.mixing @ self.robot.inertial)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """As constants of a model, as described."""
+        each = enumerate(zip(self.names, self.units, self.values, strict=True))
+        return tuple(
+            Parameter(name, unit.replace(" ", "*"), float(value), description=self.describe(k), source="description")
+            for k, (name, unit, value) in each
+        )
 
     @cached_property
     def regressor(self) -> ca.Function:

@@ -63,6 +63,7 @@ def robot(study: RobotStudy) -> Answer:
     from greybox.extensions.robot.logs import read_joint_logs
     from greybox.extensions.robot.model import robot_model
     from greybox.extensions.robot.plant import robot as read_plant
+    from greybox.extensions.robot.result import RobotIdentification
 
     plant = read_plant(study.source)
     folder = inputs.result_folder(study, plant.name)
@@ -85,28 +86,26 @@ def robot(study: RobotStudy) -> Answer:
         to_python(robot_model(plant.robot, identified, inverse=inverse), folder / f"{name}.py")
         for name, inverse in (("motion", False), ("torques", True))
     ]
+    answer: RobotIdentification | str = identified
+    text, kept = saved.read_text(encoding="utf-8"), f"the answer is in {saved}"
     if study.design:
         noise = {joint.joint: joint.final for joint in identified.joints}
         # As many rows a second as the first log has.
         rate = (logs[0].rows - 1) / float(logs[0].time[-1] - logs[0].time[0])
         designed = design_motion(plant.robot, logs, noise=noise, rate=rate)
-        written = designed.write_csv(folder / "next_motion.csv")
-        return Answer(
-            str(designed),
-            lambda _: format_json(to_json_data(designed.to_data())),
-            [saved, *models, written],
-            lambda: write_report(identified, folder / "report.html"),
-            kept=f"the motion is in {written}",
-            next=study.then("robot", study.source, *study.estimation, "NEXT_MOTION_LOG.csv"),
-        )
+        models.append(designed.write_csv(folder / "next_motion.csv"))
+        answer, kept = str(designed), f"the motion is in {models[-1]}"
+        text = format_json(to_json_data(designed.to_data()))
     return Answer(
-        identified,
-        lambda _: saved.read_text(encoding="utf-8"),
+        answer,
+        lambda _: text,
         [saved, *models],
         lambda: write_report(identified, folder / "report.html"),
-        kept=f"the answer is in {saved}",
+        kept=kept,
         # What holds in another motion as well is the robot's own; the notes say which motion settles what is open.
-        next=study.then("robot", study.source, *study.estimation, "ANOTHER_MOTION.csv"),
+        next=study.then(
+            "robot", study.source, *study.estimation, "NEXT_MOTION_LOG.csv" if study.design else "ANOTHER_MOTION.csv"
+        ),
     )
 
 
@@ -118,13 +117,8 @@ ROBOT = Command(
         Study.estimation.but(
             usage="RECORDS", help="Joint logs: CSV, MAT, MCAP and others, headers 'name [unit]'.", required=True
         ),
-        *(
-            RobotStudy.torque_constants,
-            RobotStudy.payloads,
-            RobotStudy.known_to,
-            RobotStudy.physical,
-            RobotStudy.design,
-        ),
+        *(RobotStudy.torque_constants, RobotStudy.payloads),
+        *(RobotStudy.known_to, RobotStudy.physical, RobotStudy.design),
         *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit),
         *(Study.first_time, Study.last_time, Study.split_holes),
         Study.output.but(help="Folder for the results. [default: results/ROBOT-robot]"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -81,9 +81,10 @@ class Joint(ReadOnly):
     tie: Follows | None = None
 
     @property
-    def units(self) -> tuple[str, str]:
-        """Units of its position and of its torque or force."""
-        return ("rad", "N*m") if self.kind is JointKind.REVOLUTE else ("m", "N")
+    def units(self) -> dict[str, str]:
+        """Units of its position, velocity and acceleration, of its torque or force, and of a current."""
+        q, tau = ("rad", "N*m") if self.kind is JointKind.REVOLUTE else ("m", "N")
+        return {"q": q, "dq": f"{q}/s", "ddq": f"{q}/s^2", "tau": tau, "i": "A"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +150,10 @@ class Robot(ReadOnly):
         q = F @ np.array([positions.get(name, 0.0) for name in names]) + c
         held = np.abs(F[:, [n in positions for n in names]]).any(axis=1)
         bodies = []
-        for k, joint in enumerate(self.joints):
+        for joint, position, is_held in zip(self.joints, q, held, strict=True):
             parent = self.joints[joint.parent].link if joint.parent >= 0 else ""
-            rotation, origin = move_joint(joint, q[k]) if held[k] else (joint.rotation, joint.origin)
-            kept = None if held[k] else joint
-            bodies.append(Body(joint.link, parent, rotation, origin, joint.inertial, kept))
+            pose = move_joint(joint, position) if is_held else (joint.rotation, joint.origin)
+            bodies.append(Body(joint.link, parent, *pose, joint.inertial, None if is_held else joint))
         return build_robot(self.name, bodies, self.gravity, self.source)
 
 
@@ -185,27 +185,26 @@ def build_robot(name: str, bodies: Sequence[Body], gravity: Sequence[float] | np
         parent, pose = carried[body.parent]
         pose = pose @ to_pose(body.rotation, body.origin)
         if body.joint is not None:
-            rotation, origin, nothing = pose[:3, :3], pose[:3, 3], np.zeros(10)
-            joints.append(replace(body.joint, parent=parent, rotation=rotation, origin=origin, inertial=nothing))
+            placed = {"rotation": pose[:3, :3], "origin": pose[:3, 3], "inertial": np.zeros(10)}
+            joints.append(replace(body.joint, parent=parent, **placed))
             parent, pose = len(joints) - 1, np.eye(4)
         carried[body.name] = parent, pose
         # What is fixed to the base never moves, and no record tells of it.
         if parent >= 0:
             lumped = joints[parent].inertial + move_inertial(body.inertial, pose)
             joints[parent] = replace(joints[parent], inertial=lumped)
-    names = [j.name for j in joints]
     for joint in joints:
-        _check_tie(joint, {j.name: j for j in joints}, names)
+        _check_tie(joint, {j.name: j for j in joints})
     return Robot(name, tuple(joints), np.array(gravity, float), source)
 
 
-def _check_tie(joint: Joint, known: Mapping[str, Joint], names: Collection[str]) -> None:
+def _check_tie(joint: Joint, known: Mapping[str, Joint]) -> None:
     """Raise ModelError where a joint follows what is not there, or itself through others."""
     visited, each = {joint.name}, joint
     while each.tie is not None:
         if each.tie.leader not in known:
             raise ModelError(f"joint {each.name!r} follows {each.tie.leader!r}, which is no moving joint of the robot; "
-                             f"{nearest(each.tie.leader, names)}")  # fmt: skip
+                             f"{nearest(each.tie.leader, known)}")  # fmt: skip
         each = known[each.tie.leader]
         if each.name in visited:
             raise ModelError(f"joint {joint.name!r} follows itself through {each.name!r}: one of them must move freely")

@@ -76,12 +76,11 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
     except ModelError as error:
         raise ModelError(f"{file.name}: {error}") from error
     readers = {"robot": _read_urdf, "mujoco": _read_mjcf}
-    if root.tag not in readers:
-        raise ModelError(
-            f"{file.name}: its root is <{root.tag}>; a URDF has <robot>, an MJCF <mujoco>"
-            " (xacro turns its files into URDF)"
-        )
     try:
+        if root.tag not in readers:
+            raise ModelError(
+                f"its root is <{root.tag}>; a URDF has <robot>, an MJCF <mujoco> (xacro turns its files into URDF)"
+            )
         return readers[root.tag](root, file)
     except ModelError as error:
         raise ModelError(f"{file.name}: {error}") from error
@@ -133,21 +132,18 @@ def _read_urdf(root: Element, file: Path) -> Robot:
     children: dict[str, list[Element]] = {}
     moved: dict[str, str] = {}
     for joint in root.findall("joint"):
-        name, parent, child = _name(joint), _end(joint, "parent", links), _end(joint, "child", links)
+        name, child = _name(joint), _end(joint, "child", links)
         if child in moved:
-            raise ModelError(
-                f"link {child!r} hangs on two joints, {moved[child]!r} and {name!r}: a closed chain is not carried, only a tree"
-            )
+            both = f"{moved[child]!r} and {name!r}"
+            raise ModelError(f"link {child!r} hangs on two joints, {both}: a closed chain is not carried, only a tree")
         moved[child] = name
-        children.setdefault(parent, []).append(joint)
+        children.setdefault(_end(joint, "parent", links), []).append(joint)
     bases = [name for name in links if name not in moved]
     if len(bases) != 1:
-        several = (
-            f"the links {', '.join(map(repr, bases[:5]))} hang on nothing"
-            if bases
-            else "every link hangs on another one"
+        hang = (
+            f"the links {', '.join(map(repr, bases[:5]))} hang on nothing" if bases else "every link hangs on another"
         )
-        raise ModelError(f"{several}; a robot has one base")
+        raise ModelError(f"{hang}; a robot has one base")
     bodies = [Body(bases[0], "", np.eye(3), np.zeros(3), np.zeros(10), None)]
     # Children in the order of the file, each branch to its end.
     open_joints = list(reversed(children.get(bases[0], [])))
@@ -184,19 +180,16 @@ def _read_urdf_joint(element: Element, links: dict[str, Element]) -> Body:
     if kind == "fixed":
         return Body(child, parent, rotation, origin, inertial, None)
     if kind not in MOVING:
-        remedy = (
+        floats = (
             "a robot stands on a fixed base" if kind in ("floating", "planar") else nearest(kind, [*MOVING, "fixed"])
         )
-        raise ModelError(
-            f"joint {name!r} is {kind or 'of no type'}: only revolute, continuous, prismatic and fixed joints are"
-            f" carried; {remedy}"
-        )
+        raise ModelError(f"joint {name!r} is {kind or 'of no type'}: only revolute, continuous, prismatic and fixed joints are"
+                         f" carried; {floats}")  # fmt: skip
     limit, dynamics, mimic = (element.find(tag) for tag in ("limit", "dynamics", "mimic"))
     tie = None
     if mimic is not None:
-        tie = Follows(
-            mimic.get("joint", ""), _number(mimic, "multiplier", 1.0, name), _number(mimic, "offset", 0.0, name)
-        )
+        factors = _number(mimic, "multiplier", 1.0, name), _number(mimic, "offset", 0.0, name)
+        tie = Follows(mimic.get("joint", ""), *factors)
     is_turning_on = kind == "continuous"
     joint = Joint(
         *(name, child, MOVING[kind], -1, rotation, origin),

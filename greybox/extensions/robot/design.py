@@ -163,14 +163,11 @@ class MotionSearch:
     ) -> None:
         self.base, self.axes, self.count = base, base.robot.axes, len(base.robot.axes)
         self.period, self.harmonics, self.rate = course
-        stated = [
-            {"lower": j.lower, "upper": j.upper, "speed": j.speed, "acceleration": np.inf, "effort": j.effort}
-            for j in self.axes
-        ]
-        for joint, known in zip(self.axes, stated, strict=True):
-            known |= {name: USUAL_LIMITS[name] for name, value in known.items() if not np.isfinite(value)}
-            known |= limits.get(joint.name, {})
-        self.limits = {name: np.array([known[name] for known in stated]) for name in USUAL_LIMITS}
+        stated = {n: np.array([getattr(j, n, np.inf) for j in self.axes]) for n in USUAL_LIMITS}
+        self.limits = {n: np.where(np.isfinite(v), v, USUAL_LIMITS[n]) for n, v in stated.items()}
+        for k, joint in enumerate(self.axes):
+            for name, value in limits.get(joint.name, {}).items():
+                self.limits[name][k] = value
         sizes = [noise if isinstance(noise, int | float) else noise[j.name] for j in self.axes]
         self.weights = 1 / np.array(sizes, float) ** 2
         # What friction the description states is in the torques; the rest of it is not known.
@@ -209,11 +206,8 @@ class MotionSearch:
         """What each constant adds to each torque (N, n, P): base parameters, viscous and dry friction and offset of each axis."""
         n, each = self.count, np.arange(self.count)
         joints = np.zeros((len(q), n, 3 * n))
-        joints[:, each, each], joints[:, each, n + each], joints[:, each, 2 * n + each] = (
-            dq,
-            np.tanh(dq / self.width),
-            1.0,
-        )
+        joints[:, each, each], joints[:, each, n + each] = dq, np.tanh(dq / self.width)
+        joints[:, each, 2 * n + each] = 1.0
         return np.concatenate([evaluate_rows(self.base.regressor, q, dq, ddq), joints], axis=2)
 
     def inform(self, x: np.ndarray) -> np.ndarray:
@@ -222,9 +216,7 @@ class MotionSearch:
 
     def weigh(self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:
         """Information (P, P) of the logs and one period of a motion (N, n)."""
-        Y = self.columns(q, dq, ddq)
-        share = self.period * self.rate / len(Y)
-        return self.known + self.floor + share * self.multiply(Y)
+        return self.known + self.floor + self.period * self.rate / len(q) * self.multiply(self.columns(q, dq, ddq))
 
     def multiply(self, Y: np.ndarray) -> np.ndarray:
         """Weighed products (P, P) of columns (N, n, P), summed over rows and axes."""
@@ -263,11 +255,8 @@ class MotionSearch:
         over, side = _beyond((Y @ self.constants) / self.limits["effort"])
         cost += PENALTY / count * float((over**2).sum())
         G += (2 * PENALTY / count * over * side / self.limits["effort"])[:, :, None] * self.constants
-        slope += (
-            evaluate_rows(self.slopes, *motion, G[:, :, :B].reshape(count, -1))[:, :, 0]
-            .reshape(count, 3, -1)
-            .transpose(1, 0, 2)
-        )
+        of_rigid = evaluate_rows(self.slopes, *motion, G[:, :, :B].reshape(count, -1))
+        slope += of_rigid.reshape(count, 3, -1).transpose(1, 0, 2)
         each = np.arange(self.count)
         # d tanh(v / v0) / dv
         dry = (1 - Y[:, each, B + self.count + each] ** 2) / self.width
@@ -316,7 +305,7 @@ class MotionSearch:
         before = _errors(self.known if logged else self.inform(other))[:B]
         beside = "the logs alone" if logged else "a random motion inside the same limits"
         tau = self.columns(*motion) @ self.constants
-        units = tuple(j.units[0] for j in self.axes)
+        units = tuple(j.units["q"] for j in self.axes)
         return MotionDesign(time, q, dq, ddq, tau, units, self.base.names, before, _errors(self.inform(x))[:B], beside)
 
 

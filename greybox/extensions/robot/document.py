@@ -33,7 +33,7 @@ def describe_robot(identified: RobotIdentification, *, command: str = "") -> doc
         worst_first(identified.findings),
         [_base_table(identified), _effect_table(identified)],
         f"What do the joints of {identified.robot} have beside rigid bodies, and which constants does the record carry?",
-        doc.Later(_evidence, identified),
+        doc.Later(lambda: [doc.FigureBlock(plot_torques(identified))]),
         doc.Later(_sections, identified, command),
         "robot",
     )
@@ -41,13 +41,12 @@ def describe_robot(identified: RobotIdentification, *, command: str = "") -> doc
 
 def _answer(identified: RobotIdentification) -> str:
     certain = [e for e in identified.effects if e.grade is Grade.ESTABLISHED]
-    kinds = [kind for kind in WORDS if any(e.kind == kind for e in certain)]
-    parts = []
-    for kind in kinds:
-        joints = [e.joint for e in certain if e.kind == kind]
-        parts.append(
-            f"{WORDS[kind]} at {join_names(joints) if len(joints) <= NAMED_JOINTS else count_noun(len(joints), 'joint')}"
-        )
+    found = {words: [e.joint for e in certain if e.kind == kind] for kind, words in WORDS.items()}
+    parts = [
+        f"{words} at {join_names(joints) if len(joints) <= NAMED_JOINTS else count_noun(len(joints), 'joint')}"
+        for words, joints in found.items()
+        if joints
+    ]
     lacks = join_names(parts) if parts else "nothing that is certain beside rigid bodies"
     carried = sum(not b.is_open for b in identified.base)
     rigid = {
@@ -80,66 +79,48 @@ def _say_effect(effect: JointEffect) -> str:
 
 
 def _base_table(identified: RobotIdentification) -> doc.TableBlock:
-    rows = [[b.name, _estimate(b), b.unit, format_number(b.described, 4), b.formula] for b in identified.base]
+    rows = [
+        [
+            b.name,
+            format_with_std(b.value, b.std) + " open" * b.is_open,
+            b.unit,
+            format_number(b.described, 4),
+            b.formula,
+        ]
+        for b in identified.base
+    ]
     return doc.TableBlock(
         "Base parameters", ["constant", "estimate", "unit", "described", doc.REMARK], rows,
         "With one standard error. The number is that of the joint; what else it carries stands behind it.",
     )  # fmt: skip
 
 
-def _estimate(base: BaseEstimate) -> str:
-    return f"{format_with_std(base.value, base.std)}{' open' if base.is_open else ''}"
-
-
 def _constant_tables(identified: RobotIdentification) -> list[doc.TableBlock]:
     if not identified.torque_constants:
         return []
     first = identified.torque_constants[0].joint
-    rows = [
-        [
-            c.joint,
-            format_with_std(c.value, c.std),
-            format_unit(c.unit),
-            f"{c.ratio:.4g} ({c.ratio_interval[0]:.4g} to {c.ratio_interval[1]:.4g})",
-        ]
-        for c in identified.torque_constants
-    ]
+    rows = []
+    for c in identified.torque_constants:
+        ratio = f"{c.ratio:.4g} ({c.ratio_interval[0]:.4g} to {c.ratio_interval[1]:.4g})"
+        rows.append([c.joint, format_with_std(c.value, c.std), format_unit(c.unit), ratio])
     note = "What one ampere gives at the joint, gear included. Ratios rest on the currents alone, with their 95 % intervals."
     return [doc.TableBlock("Torque constants", ["joint", "constant", "unit", f"ratio to {first}"], rows, note)]
 
 
 def _effect_table(identified: RobotIdentification) -> doc.TableBlock:
-    rows = [
-        [
-            e.joint,
-            WORDS[e.kind],
-            format_with_std(e.value, e.std),
-            format_unit(e.unit),
-            percent_text(e.share, 2),
-            e.grade.replace("_", " "),
-        ]
-        for e in identified.effects
-    ]
+    rows = []
+    for e in identified.effects:
+        size = [format_with_std(e.value, e.std), format_unit(e.unit), percent_text(e.share, 2)]
+        rows.append([e.joint, WORDS[e.kind], *size, e.grade.replace("_", " ")])
     return doc.TableBlock(
         "Effects", ["joint", "effect", "estimate", "unit", "takes", "grade"], rows,
         "Takes: share of the rms error of its joint. Established: nothing else of the list imitates it on this record.",
     )  # fmt: skip
 
 
-def _evidence(identified: RobotIdentification) -> Iterator[doc.FigureBlock]:
-    yield doc.FigureBlock(plot_torques(identified))
-
-
 def _sections(identified: RobotIdentification, command: str) -> Iterator[doc.Section]:
-    yield doc.Section(
-        "joints",
-        "Joint by joint",
-        [
-            _joint_table(identified),
-            *([_effect_table(identified)] if identified.effects else []),
-            *_constant_tables(identified),
-        ],
-    )
+    tables = [_joint_table(identified), *[_effect_table(identified)] * bool(identified.effects)]
+    yield doc.Section("joints", "Joint by joint", [*tables, *_constant_tables(identified)])
     yield doc.Section(
         "base", "Base parameters", [doc.FigureBlock(plot_base_parameters(identified)), _base_table(identified)]
     )
@@ -153,7 +134,8 @@ def plot_torques(identified: RobotIdentification) -> Figure:
     labels = (("measured", Role.MEASURED), ("rigid bodies", Role.BASELINE), ("with all effects", Role.EXTENDED))
     count_all = np.isfinite(identified.torques[0]).any(axis=0)
     # Records follow one another: time goes on where the next one begins.
-    time = _join_times(identified.time)
+    steps = np.diff(identified.time, prepend=identified.time[0])
+    time = identified.time[0] + np.cumsum(np.where(steps < 0, np.median(steps), steps))
     panels = []
     for joint, k in zip(identified.joints, np.flatnonzero(count_all), strict=True):
         curves = [
@@ -166,11 +148,6 @@ def plot_torques(identified: RobotIdentification) -> Figure:
         tuple(panels),
         "Each torque as measured, that of the rigid bodies, and with all effects, where the joint moves.",
     )
-
-
-def _join_times(time: np.ndarray) -> np.ndarray:
-    steps = np.diff(time, prepend=time[0])
-    return np.asarray(time[0] + np.cumsum(np.where(steps < 0, np.median(steps), steps)))
 
 
 def plot_base_parameters(identified: RobotIdentification) -> Figure:

@@ -184,13 +184,12 @@ def identify_robot(
     answer = _Answer(base, table, sums, chosen, sums.take(chosen).fit(), bias, point, free)
     verdict, payload, further, inertias, level = answer.compare_with_description()
     answer = replace(answer, level=level)
-    constants, effects = answer.list_constants(), [*answer.list_effects(), *inertias]
-    further += [
-        Finding(RobotCode.RIVAL, subject=e.joint, values={"kind": e.kind, "rival": e.rival}) for e in effects if e.rival
-    ]
-    further += [
-        Finding(RobotCode.GAIN, subject=e.joint, values={"gain": 1 + e.value}) for e in effects if e.kind == GAIN.name
-    ]
+    constants, effects = tuple(answer.list_constants()), [*answer.list_effects(), *inertias]
+    for e in effects:
+        if e.rival:
+            further.append(Finding(RobotCode.RIVAL, subject=e.joint, values={"kind": e.kind, "rival": e.rival}))
+        if e.kind == GAIN.name:
+            further.append(Finding(RobotCode.GAIN, subject=e.joint, values={"gain": 1 + e.value}))
     joints = answer.measure_joints()
     if strange := [j.joint for j in joints if j.final > STRANGE_SHARE * j.torque]:
         further.append(Finding(RobotCode.NOT_FOLLOWED, Severity.WARNING, values={"joints": strange}))
@@ -201,7 +200,7 @@ def identify_robot(
     return RobotIdentification(
         *(robot.name, robot.source, tuple(names), len(log.counts), len(sums.rows), constants),
         tuple(sorted(effects, key=lambda e: order.index(e.joint))),
-        *(joints, answer.list_torque_constants(scale), verdict, payload, (*findings, *further)),
+        *(joints, tuple(answer.list_torque_constants(scale)), verdict, payload, (*findings, *further)),
         *(np.concatenate([m.time for m in log.motions]), level * torques),
     )
 
@@ -232,7 +231,7 @@ def _check_reach(log: Experiment, joint: Joint, number: int) -> None:
     q, reach = {**log.inputs, **log.outputs}[f"q{number}"], joint.upper - joint.lower
     low, high = float(np.nanmin(q)), float(np.nanmax(q))
     if np.isfinite(reach) and (low < joint.lower - reach or high > joint.upper + reach):
-        unit = joint.units[0]
+        unit = joint.units["q"]
         raise DataError(
             f"record {log.name!r}: q{number} goes from {low:.4g} to {high:.4g} {unit}, and {joint.name} of the robot from"
             f" {joint.lower:.4g} to {joint.upper:.4g} {unit}; name its column, or state its unit: --column 'q{number} [deg]=HEADER'"
@@ -247,14 +246,13 @@ def _read_constants(
     currents = []
     for k, number in enumerate(axes):
         # Where a record has both, its torque counts.
-        both = (f"tau{number}", f"i{number}")
-        readings = {next(name for name in both if name in names) for names in columns if names & {*both}}
-        if len(readings) == 2:
+        has_torque = {f"tau{number}" in names for names in columns if names & {f"tau{number}", f"i{number}"}}
+        if len(has_torque) == 2:
             name = robot.axes[k].name
             raise DataError(
                 f"joint {name!r} has its torque in one record and its current in another; bring them to one"
             )
-        currents += [k] if readings == {f"i{number}"} else []
+        currents += [k] if has_torque == {False} else []
     names = [robot.axes[k].name for k in currents]
     for name, constant in constants.items():
         if name not in names:
@@ -306,9 +304,8 @@ def _find_physical(base: BaseParameters, sums: BlockProducts, chosen: Sequence[i
     B, fit = len(base.names), sums.take(chosen).fit()
     information = np.linalg.pinv(fit.inverse[:B, :B], hermitian=True)
     # Weighed by what is left of each joint, every row has a square of one.
-    theta, growth = find_physical_constants(
-        base, (fit.x - bias)[:B], information + 1e-12 * np.trace(information) * np.eye(B)
-    )
+    information += 1e-12 * np.trace(information) * np.eye(B)
+    theta, growth = find_physical_constants(base, (fit.x - bias)[:B], information)
     links = {j.link: c.tolist() for j, c in zip(base.robot.joints, theta.reshape(-1, 10), strict=True)}
     return Finding(RobotCode.PHYSICAL, values={"increase": math.sqrt(1 + growth / fit.residual) - 1, "links": links})
 
@@ -379,12 +376,8 @@ def _find_unusual(
 ) -> list[tuple[int, float]]:
     """Of each joint the further effect that takes most, where it takes enough, and its constant."""
     present = {kind_of(base, c) for c in chosen if c >= base}
-    further = [
-        place_column(base, i, k)
-        for i in joints
-        for k, kind in enumerate(COLUMNS)
-        if (i, kind) not in present and kind is not WIDTH
-    ]
+    kinds = [(i, k) for i in joints for k, kind in enumerate(COLUMNS) if kind is not WIDTH and (i, kind) not in present]
+    further = [place_column(base, i, k) for i, k in kinds]
     if not further:
         return []
     promised, left = promise(sums, chosen, further), sums.take(chosen).fit().residual
@@ -478,10 +471,9 @@ class _Answer:
         known = np.einsum("pb,bc,pc->p", inverse[:, :B], self.table.prior[:-1, :-1], inverse[:, :B])
         return np.asarray(self.level * np.sqrt(self.fit.covariance.diagonal() + known + self.bias**2))
 
-    def list_constants(self) -> tuple[BaseEstimate, ...]:
+    def list_constants(self) -> Iterator[BaseEstimate]:
         """The base parameters."""
         base, units, links = self.base, np.array(self.base.units), self.base.columns // 10
-        made = []
         for k, name in enumerate(base.names):
             # The largest constant of this unit on the link, or of all links where that is zero; many descriptions have no inertia.
             alike = np.maximum(np.abs(base.values), np.abs(self.values[: len(units)])) * (units == units[k])
@@ -489,8 +481,7 @@ class _Answer:
             value, std, interval = _spell(self.values[k], self.std[k], self.fit.quantile[k])
             is_open = bool(self.fit.is_open[k] or interval[1] - value > OPEN_SHARE * size)
             described = float(base.values[k])
-            made.append(BaseEstimate(name, base.describe(k), base.units[k], value, std, interval, described, is_open))
-        return tuple(made)
+            yield BaseEstimate(name, base.describe(k), base.units[k], value, std, interval, described, is_open)
 
     def list_effects(self) -> Iterator[JointEffect]:
         """The effects with their grades."""
@@ -498,15 +489,14 @@ class _Answer:
             joint, kind = kind_of(self.table.base, column)
             if column >= self.table.base and kind is not WIDTH and not (kind is GAIN and joint in self.free):
                 value = self.point.complete(kind, joint, self.values[k])
-                yield self._make_effect(
-                    column, _spell(value, self.std[k], self.fit.quantile[k]), *self._grade(column, value)
-                )
+                spelled = _spell(value, self.std[k], self.fit.quantile[k])
+                yield self._make_effect(column, spelled, *self._grade(column, value))
 
-    def list_torque_constants(self, scale: np.ndarray) -> tuple[TorqueConstant, ...]:
+    def list_torque_constants(self, scale: np.ndarray) -> Iterator[TorqueConstant]:
         """The torque constants that were free; ``scale`` (n,) is what the readings were multiplied by."""
         places = {i: list(self.chosen).index(place_column(self.table.base, i, COLUMNS.index(GAIN))) for i in self.free
                   if self.table.rows[i].any()}  # fmt: skip
-        made, spread = [], self.fit.covariance + np.diag(self.bias**2)
+        spread = self.fit.covariance + np.diag(self.bias**2)
         for i, place in places.items():
             # reading = gain torque, so that a constant is scale / gain; its relative error is that of the gain.
             first, at = next(iter(places.items()))
@@ -516,24 +506,17 @@ class _Answer:
             # var ln(g1 / gi)
             both = np.array([1.0, -1.0]) / gains
             of_ratio = math.sqrt(max(both @ spread[np.ix_([place, at], [place, at])] @ both, 0.0))
-            joint = self.base.robot.axes[i]
-            made.append(
-                TorqueConstant(
-                    joint.name,
-                    *_spell(value, abs(value) * error, self.fit.quantile[place]),
-                    f"{joint.units[1]}/A",
-                    ratio,
-                    _spell(ratio, abs(ratio) * of_ratio, self.fit.quantile[place])[2],
-                )
-            )
-        return tuple(made)
+            joint, quantile = self.base.robot.axes[i], self.fit.quantile[place]
+            between = _spell(ratio, abs(ratio) * of_ratio, quantile)[2]
+            constant = _spell(value, abs(value) * error, quantile)
+            yield TorqueConstant(joint.name, *constant, joint.units["tau"] + "/A", ratio, between)
 
     def _make_effect(
         self, column: int, spelled: tuple[float, float, Interval], grade: Grade, share: float, rival: str
     ) -> JointEffect:
         i, kind = kind_of(self.table.base, column)
         joint = self.base.robot.axes[i]
-        return JointEffect(joint.name, kind.name, *spelled, kind.units[joint.units[0] == "m"], grade, share, rival)
+        return JointEffect(joint.name, kind.name, *spelled, kind.unit_at(joint), grade, share, rival)
 
     def _grade(self, column: int, value: float) -> tuple[Grade, float, str]:
         """What may be said of an effect, the share of its joint's rms error that it takes, and what would do nearly as well."""
@@ -579,7 +562,7 @@ class _Answer:
         rms = np.array([self._rms(columns) for columns in ([], range(self.table.base), self.chosen)])
         rms[:, list(self.free)] *= self.level / np.abs(self.point.gains[list(self.free)])
         return tuple(
-            JointMisfit(joint.name, joint.units[1], int(rows), *map(float, rms[:, i]))
+            JointMisfit(joint.name, joint.units["tau"], int(rows), *map(float, rms[:, i]))
             for i, (joint, rows) in enumerate(zip(self.base.robot.axes, self.table.rows.sum(axis=1), strict=True))
             if rows
         )
@@ -626,14 +609,12 @@ class _Answer:
             and (mass > SCALED_DEVIATIONS * std if has_level else mass != 0),
         }
         errors = {
-            verdict: each.errors.sum()
+            verdict: total
             for verdict, each in fits.items()
-            if is_possible.get(verdict, True)
-            and base.values.any()  # a description without inertia describes nothing
-            and (
-                each.errors.sum() < (1 + SAME_SHARE) * free.errors.sum()
-                or not each.is_worse_than(free, BETTER_DEVIATIONS)
-            )
+            # A description without inertia describes nothing.
+            if is_possible[verdict] and base.values.any()
+            if (total := each.errors.sum()) < (1 + SAME_SHARE) * free.errors.sum()
+            or not each.is_worse_than(free, BETTER_DEVIATIONS)
         }
         verdict = min(errors, key=lambda v: (v is not RigidVerdict.AS_DESCRIBED, errors[v]), default=RigidVerdict.OTHER)
         findings, payload, motors = [], None, []
@@ -652,14 +633,10 @@ class _Answer:
             factor += float(heavier) if payload else 0.0
         if verdict is not RigidVerdict.OTHER:
             best = fits[verdict]
-            x, deviations, is_open, quantile = (
-                v[-len(effects) :] for v in (best.x, best.std, best.is_open, best.quantile)
-            )
-            for k, column in enumerate(effects):
-                kind = kind_of(self.table.base, column)[1]
-                is_motor = kind is INERTIA and column not in self.chosen and not is_open[k]
-                if is_motor and x[k] > NAMED_DEVIATIONS * deviations[k]:
-                    spelled = _spell(x[k], deviations[k], quantile[k])
+            for k, column in enumerate(effects, len(best.x) - len(effects)):
+                is_motor = kind_of(self.table.base, column)[1] is INERTIA and column not in self.chosen
+                if is_motor and not best.is_open[k] and best.x[k] > NAMED_DEVIATIONS * best.std[k]:
+                    spelled = _spell(best.x[k], best.std[k], best.quantile[k])
                     motors.append(self._make_effect(column, spelled, Grade.PROBABLE, 0.0, ""))
         return verdict, payload, findings, motors, factor
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greybox.extensions.robot.description import Joint, JointKind
+
 # Shares of the largest speed of a joint that are tried as the width of the Stribeck effect.
 STRIBECK_SHARES = (0.03, 0.08, 0.2)
 
@@ -30,6 +32,10 @@ class JointEffectKind:
     words: str
     units: tuple[str, str]
     is_positive: bool = True
+
+    def unit_at(self, joint: Joint) -> str:
+        """Unit of its constant at a joint."""
+        return self.units[joint.kind is JointKind.PRISMATIC]
 
 
 VISCOUS = JointEffectKind("viscous_friction", "viscous friction", ("N*m*s/rad", "N*s/m"))

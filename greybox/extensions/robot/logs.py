@@ -35,10 +35,7 @@ OTHERS = {
 }
 # Words that say the unit of a joint's column.
 UNITS = {
-    "deg": "deg",
-    "degs": "deg",
-    "degree": "deg",
-    "degrees": "deg",
+    **dict.fromkeys(("deg", "degs", "degree", "degrees"), "deg"),
     "rad": "rad",
     "nm": "N*m",
     "amps": "A",
@@ -87,11 +84,8 @@ def read_joint_logs(
             headers = open_record_file(path, policy=reading.get("reading", READING_POLICY)).table.headers
             mapped = {split_signal(key)[0] for key in given}
             columns_found |= _find_columns(headers, plant.robot, mapped, Path(path).name)
-            if not {output.name for output in plant.log_model.outputs} & {
-                *mapped,
-                *map(_plain, headers),
-                *map(_plain, columns_found),
-            }:
+            called = {parse_header(header, 0).name for header in (*headers, *columns_found)}
+            if not {output.name for output in plant.log_model.outputs} & {*mapped, *called}:
                 raise DataError(
                     f"{Path(path).name}: no column is called q1, tau1 ... or by a joint of the robot ({shorten(', '.join(names))}); its"
                     f" headers are {shorten(', '.join(headers))}; name them: --column q1=HEADER"
@@ -103,16 +97,11 @@ def read_joint_logs(
     if not columns_found.keys() - {TIME}:
         return logs
     numbers = sorted({int(re.sub(r"\D", "", signal)) for signal in columns_found if signal != TIME})
-    effort = next(
-        (
-            h
-            for key, h in columns_found.items()
-            if key.startswith("tau") and "[" not in key and not parse_header(h, 0).unit
-        ),
-        "",
+    unsaid = (
+        h for k, h in columns_found.items() if k.startswith("tau") and "[" not in k and not parse_header(h, 0).unit
     )
     units = sorted({split_signal(key)[1] for key in columns_found} - {""})
-    values = {"units": units, "joints": [plant.robot.axes[k - 1].name for k in numbers], "effort": effort}
+    values = {"units": units, "joints": [plant.robot.axes[k - 1].name for k in numbers], "effort": next(unsaid, "")}
     note = Finding(RobotCode.JOINTS_BY_NAME, Severity.NOTE, values=values)
     return tuple(replace(log, findings=(*log.findings, note)) for log in logs)
 
@@ -139,10 +128,6 @@ def _find_columns(headers: Sequence[str], robot: Robot, taken: set[str], file: s
     return columns_found
 
 
-def _plain(header: str) -> str:
-    return parse_header(header, 0).name
-
-
 def _rename(key: str, robot: Robot) -> str:
     """A signal that is called by a joint as ``q1 [deg]``, with its unit; others as they are."""
     name, unit = split_signal(key)
@@ -153,10 +138,9 @@ def _rename(key: str, robot: Robot) -> str:
 def _find_signal(name: str, unit: str, robot: Robot) -> str:
     """``tau2`` where a name holds that of the second axis and says torque, ``q2 [deg]`` where it says so; "" for what names no joint."""
     words = _split(name)
-    spellings = _spell_joints(robot)
     hits = [
         (len(spelling), number, words[:at] + words[at + len(spelling) :])
-        for spelling, number in spellings.items()
+        for spelling, number in _spell_joints(robot).items()
         for at in range(len(words) - len(spelling) + 1)
         if words[at : at + len(spelling)] == spelling
     ]
@@ -167,7 +151,7 @@ def _find_signal(name: str, unit: str, robot: Robot) -> str:
         return ""
     quantity = next((signal for signal, known in QUANTITIES.items() if set(known) & set(rest)), "")
     joint = robot.axes[number - 1]
-    units = {"q": joint.units[0], "dq": f"{joint.units[0]}/s", "tau": joint.units[1], "i": "A"}
+    units = {signal: joint.units[signal] for signal in QUANTITIES}
     unit_word = "" if unit else next((UNITS[word] for word in rest if word in UNITS), "")
     if (stated := unit or unit_word) and not (quantity and converts(stated, units[quantity])):
         # ROS writes efforts of some drives in amperes.
@@ -186,13 +170,8 @@ def _spell_joints(robot: Robot) -> dict[tuple[str, ...], int]:
     spellings: dict[tuple[str, ...], set[int]] = {}
     for number, name in enumerate(names, 1):
         short = name[shared:]
-        for each in (
-            name,
-            short,
-            tuple(w for w in name if w != "joint"),
-            tuple(w for w in short if w != "joint"),
-            ("joint", *short),
-        ):
+        plain = (tuple(w for w in words if w != "joint") for words in (name, short))
+        for each in (name, short, *plain, ("joint", *short)):
             # A number alone would take q1 for the joint that is called 1.
             if any(not word.isdigit() for word in each):
                 spellings.setdefault(each, set()).add(number)

@@ -15,7 +15,7 @@ import casadi as ca
 
 from greybox.base import to_identifiers
 from greybox.extensions.robot.base_parameters import BaseParameters, find_base_parameters
-from greybox.extensions.robot.description import Joint, JointKind, Robot
+from greybox.extensions.robot.description import Robot
 from greybox.extensions.robot.joint_effects import COULOMB, INERTIA, OFFSET, VISCOUS
 from greybox.extensions.robot.result import RobotCode, RobotIdentification
 from greybox.extensions.robot.rigid_body import RigidBody
@@ -67,14 +67,14 @@ def robot_model(
         robot = robot.lock(dict.fromkeys(held, 0.0)) if held else robot
     base, links = find_base_parameters(robot), len(robot.joints)
     plant = _JointRelations(base, RigidBody(robot).inverse_dynamics, inverse)
-    motion = [(f"{s}{k}", unit) for s in ("q", "dq", "ddq") for k, unit in _numbered(robot, s)]
-    torques = [(f"tau{k}", unit) for k, unit in _numbered(robot, "tau")]
+    signals = {s: [(f"{s}{k}", j.units[s]) for k, j in enumerate(robot.axes, 1)] for s in ("q", "dq", "ddq", "tau")}
+    motion, torques = [*signals["q"], *signals["dq"], *signals["ddq"]], signals["tau"]
     model = Model(
         to_identifiers([robot.name])[0],
         states=[State(*signal) for signal in (torques if inverse else motion)],
         inputs=[Input(*signal) for signal in (motion if inverse else torques)],
-        outputs=[Output(*signal) for signal in (torques if inverse else motion[: len(torques)])],
-        parameters=[*_base_constants(base), *_joint_constants(robot)],
+        outputs=[Output(*signal) for signal in signals["tau" if inverse else "q"]],
+        parameters=[*base.parameters, *_joint_constants(robot)],
         balances=plant,
         has=("gear", "contact"),
         description=f"{'torques' if inverse else 'motion'} of {links} link{'s' * (links > 1)}",
@@ -122,7 +122,7 @@ class _JointRelations:
         rigid = self.inverse_dynamics(q, dq, ddq, self._inertial(p))
         balances = []
         for k, joint in zip(numbers, axes, strict=True):
-            unit, rates = joint.units[1], _rate_units(joint)
+            unit = joint.units["tau"]
             motor = x[f"tau{k}"] if self.inverse else u[f"tau{k}"]
             others = {"viscous": -p[f"B{k}"] * dq[k - 1], "rotor": -p[f"Jm{k}"] * ddq[k - 1]}
             body = Block(self.label, -rigid[k - 1], unit)
@@ -130,8 +130,8 @@ class _JointRelations:
             relation = Balance(f"joint_{k}", unit, 0, solved, motor=motor, **others, body=body)
             balances.append(relation.moving(f"dq{k}", f"q{k}"))
             if not self.inverse:
-                balances.append(Balance(f"position_{k}", rates[0], 1, f"q{k}", speed=dq[k - 1]))
-                balances.append(Balance(f"speed_{k}", rates[1], 1, f"dq{k}", acceleration=ddq[k - 1]))
+                balances.append(Balance(f"position_{k}", joint.units["dq"], 1, f"q{k}", speed=dq[k - 1]))
+                balances.append(Balance(f"speed_{k}", joint.units["ddq"], 1, f"dq{k}", acceleration=ddq[k - 1]))
         return balances
 
     def _inertial(self, p: NamedValues) -> ca.SX:
@@ -141,33 +141,9 @@ class _JointRelations:
         return theta
 
 
-def _rate_units(joint: Joint) -> tuple[str, str]:
-    position = joint.units[0]
-    return f"{position}/s", f"{position}/s^2"
-
-
-def _numbered(robot: Robot, signal: str) -> Iterator[tuple[int, str]]:
-    """Numbers of the axes, and the unit of a signal of each."""
-    for k, joint in enumerate(robot.axes, 1):
-        rate, acceleration = _rate_units(joint)
-        yield k, {"q": joint.units[0], "dq": rate, "ddq": acceleration, "tau": joint.units[1]}[signal]
-
-
-def _base_constants(base: BaseParameters) -> list[Parameter]:
-    return [
-        Parameter(name, unit.replace(" ", "*"), float(value), description=base.describe(k), source="description")
-        for k, (name, unit, value) in enumerate(zip(base.names, base.units, base.values, strict=True))
-    ]
-
-
 def _joint_constants(robot: Robot) -> Iterator[Parameter]:
     """Viscous friction and motor inertia of each joint, as described and fixed."""
     for k, joint in enumerate(robot.axes, 1):
-        turns = joint.kind is JointKind.REVOLUTE
-        for name, words, unit, value in (
-            ("B", "viscous friction", "N*m*s/rad" if turns else "N*s/m", joint.damping),
-            ("Jm", "inertia of the motor", "kg*m^2" if turns else "kg", joint.armature),
-        ):
-            yield Parameter(
-                f"{name}{k}", unit, value, (0.0, math.inf), True, "description", "", f"{words} of {joint.name}"
-            )
+        for kind, value in ((VISCOUS, joint.damping), (INERTIA, joint.armature)):
+            name, words = f"{CONSTANTS[kind.name]}{k}", f"{kind.words} of {joint.name}"
+            yield Parameter(name, kind.unit_at(joint), value, (0.0, math.inf), True, "description", "", words)

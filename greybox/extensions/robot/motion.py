@@ -56,14 +56,8 @@ class Motion(ReadOnly):
         Torques (N, n) as measured, or currents in A where there is no torque; NaN where neither is.
     is_moving
         Where each axis moves (N, n): elsewhere dry friction may have any value up to its level.
-    cutoffs
-        Up to which frequency (n,) in Hz the motion of each axis was followed.
-    noise
-        Standard deviation (n,) of a single reading of each position, in rad or m.
-    is_measured
-        Whether the velocity of each axis (n,) is that of a sensor of its own, because it is less noisy than the differentiated position.
     lags
-        Seconds (n,) by which such a velocity was late, and is brought forward.
+        Seconds (n,) by which velocities that were used were late, and are brought forward.
     """
 
     time: np.ndarray
@@ -72,9 +66,6 @@ class Motion(ReadOnly):
     ddq: np.ndarray
     tau: np.ndarray
     is_moving: np.ndarray
-    cutoffs: np.ndarray
-    noise: np.ndarray
-    is_measured: np.ndarray
     lags: np.ndarray
 
     def thin(self, every: int) -> Motion:
@@ -127,25 +118,24 @@ def reconstruct_motion(
 
     q, dq, ddq = np.empty((3, n, len(axes)))
     tau = np.column_stack([read(f"tau{k}" if f"tau{k}" in columns else f"i{k}") for k in axes])
-    cutoffs, noise, quiet = np.empty((3, len(axes)))
-    lags, is_measured = np.zeros(len(axes)), np.zeros(len(axes), bool)
+    cutoffs, quiet, lags = np.zeros((3, len(axes)))
     for k, number in enumerate(axes):
         position, velocity = read(f"q{number}"), read(f"dq{number}")
         if not np.isfinite(position).all():
             raise DataError(f"record {record.name!r}: {int((~np.isfinite(position)).sum())} readings of q{number} are missing; cut them off"
                             " with --from and --until")  # fmt: skip
-        cutoffs[k], noise[k] = _find_cutoff(position, rate)
+        cutoffs[k], noise = _find_cutoff(position, rate)
         # White noise of density S behind a differentiator up to fc: S (2 pi)^2 fc^3 / 3.
-        density = 2 * noise[k] ** 2 / rate
+        density = 2 * noise**2 / rate
         quiet[k] = np.sqrt(density * (2 * np.pi) ** 2 * cutoffs[k] ** 3 / 3)
-        position = position + shake * noise[k] * generator.normal(size=n)
+        position = position + shake * noise * generator.normal(size=n)
         q[:, k] = _smooth(position, cutoffs[k], rate)
         dq[:, k] = _differentiate(q[:, k], step)
         if np.isfinite(velocity).all():
             cutoff, level = _find_cutoff(velocity, rate)
             remaining = level * np.sqrt(2 * cutoff / rate)
             if remaining < quiet[k]:
-                is_measured[k], quiet[k] = True, remaining
+                quiet[k] = remaining
                 velocity = velocity + shake * level * generator.normal(size=n)
                 lags[k] = _find_lag(q[:, k], velocity, min(cutoffs[k], cutoff) / 2, rate)
                 # What a filter of the sensor delays is brought forward.
@@ -158,9 +148,7 @@ def reconstruct_motion(
     )
     swing = min(int(np.ceil(SWINGING_PERIODS * rate / cutoffs.min())) + len(FIRST_DIFFERENCE), n // 8)
     rows = slice(0, n) if keep_ends else slice(swing, n - swing)
-    return Motion(
-        time[rows], q[rows], dq[rows], ddq[rows], tau[rows], is_moving[rows], cutoffs, noise, is_measured, lags
-    )
+    return Motion(time[rows], q[rows], dq[rows], ddq[rows], tau[rows], is_moving[rows], lags)
 
 
 def _find_lag(position: np.ndarray, velocity: np.ndarray, cutoff: float, rate: float) -> float:

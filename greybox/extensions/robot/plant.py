@@ -64,12 +64,12 @@ class RobotPlant:
     @property
     def inputs(self) -> tuple[Input, ...]:
         """Positions of the axes."""
-        return tuple(Input(f"q{k}", j.units[0]) for k, j in enumerate(self.robot.axes, 1))
+        return tuple(Input(f"q{k}", j.units["q"]) for k, j in enumerate(self.robot.axes, 1))
 
     @property
     def outputs(self) -> tuple[Output, ...]:
         """Torques of the axes."""
-        return tuple(Output(f"tau{k}", j.units[1]) for k, j in enumerate(self.robot.axes, 1))
+        return tuple(Output(f"tau{k}", j.units["tau"]) for k, j in enumerate(self.robot.axes, 1))
 
     @cached_property
     def base(self) -> BaseParameters:
@@ -79,20 +79,12 @@ class RobotPlant:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Base parameters as described, then the constants of the joints, at zero."""
-        rigid = [
-            Parameter(name, unit.replace(" ", "*"), float(value), description=self.base.describe(k))
-            for k, (name, unit, value) in enumerate(
-                zip(self.base.names, self.base.units, self.base.values, strict=True)
-            )
-        ]
         of_joints = [
-            Parameter(
-                f"{kind.name}{k}", kind.units[joint.units[0] == "m"], 0.0, description=f"{kind.words} of {joint.name}"
-            )
+            Parameter(f"{kind.name}{k}", kind.unit_at(joint), 0.0, description=f"{kind.words} of {joint.name}")
             for k, joint in enumerate(self.robot.axes, 1)
             for kind in JOINT_CONSTANTS
         ]
-        return (*rigid, *of_joints)
+        return (*self.base.parameters, *of_joints)
 
     @cached_property
     def model(self) -> PlantModel:
@@ -103,14 +95,9 @@ class RobotPlant:
     def log_model(self) -> Model:
         """What a log of it may hold, for reading: positions, velocities, torques and currents; none of them must be there."""
         signals = [
-            Output(f"{name}{k}", unit)
+            Output(f"{name}{k}", joint.units[name])
             for k, joint in enumerate(self.robot.axes, 1)
-            for name, unit in (
-                ("q", joint.units[0]),
-                ("dq", f"{joint.units[0]}/s"),
-                ("tau", joint.units[1]),
-                ("i", "A"),
-            )
+            for name in ("q", "dq", "tau", "i")
         ]
         return PlantModel.of(SimpleNamespace(name=self.name, inputs=(), outputs=signals, parameters=()))
 
