@@ -127,6 +127,10 @@ def _compute_misfit(
         bulk = replace(loss, scale=np.array([spread]))
         wild = [bulk.outliers(each[:, None])[:, 0] for each in scaled]
         scaled = [np.where(out, np.nan, each) for out, each in zip(wild, scaled, strict=True)]
+        pairs = ((t.measured[output][skip:], t.simulated[output][skip:]) for t in seen)
+        best_fit = measure_errors(
+            (np.where(out, np.nan, y), run) for (y, run), out in zip(pairs, wild, strict=True)
+        ).best_fit_percent
         loss = bulk if any(out.any() for out in wild) else None
     ratio = measure_errors((np.where(np.isfinite(each), 0.0, np.nan), each) for each in scaled).rmse
     ratio /= loss.bulk_size() if loss is not None else 1.0

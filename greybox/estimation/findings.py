@@ -501,7 +501,7 @@ def find_option_issues(
     result += _list_parameters(EstimationCode.MEAN_OF_EXPERIMENTS, list(per_experiment), Severity.NOTE)
     if robust.name:
         shares = {name: share for name, share in robust.outliers.items() if share > 0}
-        values = {"loss": robust.name, "shares": shares}
+        values = {"loss": robust.name, "shares": shares, "left_out": problem.left_out}
         result.append(Finding(EstimationCode.ROBUST_LOSS_OUTLIERS, Severity.NOTE, "", values))
         many = [name for name, share in robust.outliers.items() if share > OUTLIER_SHARE]
         if many:

@@ -48,7 +48,7 @@ from greybox.estimation.findings import (
     is_at_noise,
     is_output_at_noise,
 )
-from greybox.estimation.noise_loop import estimate_by_simulation_error, keep_best, summarise_outliers
+from greybox.estimation.noise_loop import estimate_by_simulation_error, keep_best, summarise_outliers, to_huber
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import Optimum, PredictionOptimum, SimulationOptimum
 from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
@@ -556,13 +556,15 @@ def _try_other_starts(
     from there is worth, and a search takes dozens. Where the best end explains nothing yet, as many follow about the scales that the
     records show (`find_scales`).
     """
-    model = first.model
+    model, loss = first.model, options.to_loss()
+    # One run from each start, judged as its search will judge it: squares would tell how it follows the outliers.
+    judged = problem if loss is None else replace(problem, loss=to_huber(loss, options))
 
     def compute_cost(begin: Mapping[str, float]) -> float:
         if held.requested:  # by Ctrl-C: no search follows, and what was found so far is kept
             return np.inf
         variables = problem.variables.with_values(begin)
-        return float(problem.shooting(variables).evaluate(variables.here).cost)
+        return float(judged.shooting(variables).evaluate(variables.here).cost)
 
     begins, ends = [{q.name: q.value for q in model.free_parameters}], [first]
     ratios = [compute_ratio(first.evaluation.cost, first.misfit, problem.noise)]
@@ -679,7 +681,9 @@ def compute_ratio(cost: float, misfit: Mapping[str, result_parts.Misfit], known:
     std = dict(zip(known.outputs, known.std.tolist(), strict=True))
     if not np.isfinite(cost) or not misfit:
         return float(np.inf)
-    return float(np.sqrt(np.mean([(m.rmse / std[name]) ** 2 for name, m in misfit.items()])))
+    # Of a robust fit without its outliers: they would rank the ends by how each follows them.
+    errors = {name: m.error if m.without_outliers and m.error is not None else m.rmse for name, m in misfit.items()}
+    return float(np.sqrt(np.mean([(error / std[name]) ** 2 for name, error in errors.items()])))
 
 
 def _count_runs(problem: EstimationProblem) -> dict[str, float]:

@@ -35,6 +35,7 @@ from greybox.estimation.transcription.problem import (
 from greybox.estimation.transcription.select import select_transcription, shorten_steps, try_free_run
 from greybox.estimation.transcription.shooting_cost import PlantShooting
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
+from greybox.simulation.kernel.record import Record
 from greybox.simulation.plant import PlantModel
 
 
@@ -170,6 +171,13 @@ def estimate_by_simulation_error(
         solution = solve(problem, options, report).with_work_of(solution)
     for _ in range(options.policy.noise_rounds):
         wanted = update_noise(solution, options, colour) if solution.status.success else None
+        if wanted is None and solution.problem.loss is not None and solution.status.success:
+            # Found anew each time, in all readings: what was left out under a worse run comes back.
+            whole = replace(solution.at_optimum, records=problem.records)
+            cleared = without_bursts(whole, solution.simulate())
+            pairs = zip(cleared.records, solution.problem.records, strict=True)
+            stands = all(np.array_equal(new.y, old.y, equal_nan=True) for new, old in pairs)
+            wanted = None if stands else cleared
         if wanted is not None:
             solution = solve(wanted, replace(options, progressive=False), report).with_work_of(solution)
             continue
@@ -414,12 +422,57 @@ def estimate_bulk_scale(solution: Solution) -> np.ndarray:
     return np.array([max(estimate_spread(column, robust=True), least) for column in r.T])
 
 
+# Size of a residual over the bulk, from which no noise explains it, and by which it jumps from one reading to the next where a burst of
+# wrong readings begins and ends: what a model lacks comes and goes with the motion.
+BURST_SIZE = 4.0
+# Readings in a row from which such residuals are a burst: single ones pull to either side.
+BURST_ROWS = 3
+
+
+def without_bursts(problem: EstimationProblem, runs: Runs) -> EstimationProblem:
+    """``problem`` without the readings of bursts of wrong ones, as its ``runs`` show them.
+
+    A robust loss bounds what each outlier pulls. Those of a burst pull the same way, over one stretch of the motion: together as much as
+    the rest of it.
+    """
+    errors = [_scale_errors(problem, record, y) for record, (y, _) in zip(problem.records, runs, strict=True)]
+    bulk = [estimate_spread(column, robust=True) or np.inf for column in np.concatenate(errors).T]
+    records = []
+    for record, error in zip(problem.records, errors, strict=True):
+        y = record.y.copy()
+        for column, residual in zip(record.samples(y).T, (error / bulk).T, strict=True):
+            rows = np.flatnonzero(np.isfinite(residual))
+            column[rows[_find_bursts(residual[rows])]] = np.nan
+        records.append(replace(record, y=y))
+    return replace(problem, records=tuple(records))
+
+
+def _find_bursts(residual: np.ndarray) -> np.ndarray:
+    """Which residuals (N,), over the bulk, stand in a burst."""
+    sign = np.where(np.abs(residual) > BURST_SIZE, np.sign(residual), 0.0)
+    edges = np.flatnonzero(np.diff(sign, prepend=np.nan, append=np.nan) != 0)
+    jumps = np.abs(np.diff(residual, prepend=np.nan, append=np.nan))
+    is_burst = np.zeros(len(residual), bool)
+    for first, end in zip(edges[:-1], edges[1:], strict=True):
+        # At an end of the record there is no other side to jump from.
+        sides = [jumps[k] for k in (first, end) if 0 < k < len(residual)]
+        if sign[first] and end - first >= BURST_ROWS and sides and min(sides) > BURST_SIZE:
+            is_burst[first:end] = True
+    return is_burst
+
+
+def _scale_errors(problem: EstimationProblem, record: Record, y: np.ndarray) -> np.ndarray:
+    """The residuals (samples, ny) of one record of the run ``y`` over their noise."""
+    r = record.samples(record.y - y) / problem.noise.std
+    record.scale_errors(r, np.empty((*r.shape, 0)), 1 / problem.noise.std)
+    return r
+
+
 def compute_whitened_residuals(problem: EstimationProblem, runs: Runs) -> np.ndarray:
     """The residuals (samples, ny) of all records over their noise, whitened where the noise's colour is known; NaN in gaps."""
     residuals = []
     for record, (y, _) in zip(problem.records, runs, strict=True):
-        r = record.samples(record.y - y) / problem.noise.std
-        record.scale_errors(r, np.empty((*r.shape, 0)), 1 / problem.noise.std)
+        r = _scale_errors(problem, record, y)
         residuals.append(np.column_stack([colour.whiten(r[:, j]) for j, colour in enumerate(problem.noise.colour)]))
     return np.concatenate(residuals)
 
@@ -430,8 +483,9 @@ def summarise_outliers(problem: EstimationProblem, runs: Runs) -> RobustReport:
     if loss is None:
         return RobustReport()
     r = compute_whitened_residuals(problem, runs)
-    shares = loss.outliers(r).sum(axis=0) / np.maximum(np.isfinite(r).sum(axis=0), 1)
-    names = [o.name for o in problem.model.outputs]
+    names, left_out = [o.name for o in problem.model.outputs], problem.left_out
+    gone = np.array([left_out.get(name, 0) for name in names])
+    shares = (loss.outliers(r).sum(axis=0) + gone) / np.maximum(np.isfinite(r).sum(axis=0) + gone, 1)
     measured = [j for j in range(len(names)) if np.isfinite(r[:, j]).any()]
     return RobustReport(
         str(loss), {names[j]: float(loss.scale[j]) for j in measured}, {names[j]: float(shares[j]) for j in measured}

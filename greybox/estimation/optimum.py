@@ -18,6 +18,7 @@ from greybox.data.input_course import find_input_noise, is_open
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance, estimate_covariance, estimate_likelihood_covariance
 from greybox.estimation.errors import compute_misfits
+from greybox.estimation.noise_loop import without_bursts
 from greybox.estimation.objective import (
     LikelihoodMaximum,
     Objective,
@@ -572,7 +573,10 @@ def restore_problem(fit: Fit) -> EstimationProblem:
             for t in fit.traces
         ]
         problem = problem.with_growing_noise(problem.noise.growth, runs)
-    return replace(problem, loss=restore_loss(fit), variables=variables)
+    problem = replace(problem, loss=restore_loss(fit), variables=variables)
+    if problem.loss is not None:
+        problem = without_bursts(problem, problem.shooting().simulate(variables.here))
+    return problem
 
 
 def restore_objective(fit: Fit) -> Objective:

@@ -156,7 +156,7 @@ class Misfit:
     rmse, unit
         Root mean square of the error, and the unit of the output.
     best_fit_percent
-        ``100 (1 - ||y - yhat|| / ||y - mean(y)||)``.
+        ``100 (1 - ||y - yhat|| / ||y - mean(y)||)``, without the outliers of a robust fit.
     noise_ratio
         ``error`` over ``noise``: 1 means that only noise is left.
     samples

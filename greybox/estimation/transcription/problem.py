@@ -93,6 +93,20 @@ class EstimationProblem:
         records = tuple(replace(record, spread=None, log_std=None) for record in self.records)
         return replace(self.with_white_noise(), records=records, loss=None)
 
+    @property
+    def left_out(self) -> dict[str, int]:
+        """How many readings that the experiments have the search does not see, by output."""
+        left_out = {
+            o.name: sum(
+                int(np.isfinite(e.outputs[o.name]).sum() - np.isfinite(r.samples(r.y)[:, j]).sum())
+                for e, r in zip(self.experiments, self.records, strict=True)
+                if o.name in e.outputs
+            )
+            for j, o in enumerate(self.model.outputs)
+            if o.name not in self.constant_outputs
+        }
+        return {name: count for name, count in left_out.items() if count}
+
     def with_growing_noise(self, growth: Mapping[str, GrowingNoise], runs: Sequence[np.ndarray]) -> EstimationProblem:
         """The same with noise that grows with the signal as ``growth`` says, of the runs (N, ny) of its records; all of it has values."""
         names, std = self.noise.outputs, self.noise.std.copy()

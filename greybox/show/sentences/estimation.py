@@ -360,7 +360,9 @@ def _write_tied_outside(finding: Finding) -> str:
 def _write_outliers(finding: Finding) -> str:
     shares = finding.values["shares"]
     counted = f"{wording.format_shares(shares)} count as outliers" if shares else "no sample counts as an outlier"
-    return f"robust loss ({finding.values['loss']}): {counted}"
+    left_out = wording.join_names([f"{count} of {name}" for name, count in finding.values.get("left_out", {}).items()])
+    bursts = f"; readings in bursts, {left_out}, are left out" if left_out else ""
+    return f"robust loss ({finding.values['loss']}): {counted}{bursts}"
 
 
 @writes(EstimationCode.CONSTANT_OUTPUT_EXCLUDED)
