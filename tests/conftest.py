@@ -13,10 +13,11 @@ from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 from hypothesis import settings
 
 from tests.support.browser import browser, tab
+from tests.support.command import CliRunner
 
 # Before anything imports numpy: a pool of threads on 4x4 matrices costs a hundred times the arithmetic.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):

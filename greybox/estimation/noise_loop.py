@@ -8,6 +8,7 @@ weights change the residual.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -453,7 +454,7 @@ def _find_bursts(residual: np.ndarray) -> np.ndarray:
     edges = np.flatnonzero(np.diff(sign, prepend=np.nan, append=np.nan) != 0)
     jumps = np.abs(np.diff(residual, prepend=np.nan, append=np.nan))
     is_burst = np.zeros(len(residual), bool)
-    for first, end in zip(edges[:-1], edges[1:], strict=True):
+    for first, end in pairwise(edges):
         # At an end of the record there is no other side to jump from.
         sides = [jumps[k] for k in (first, end) if 0 < k < len(residual)]
         if sign[first] and end - first >= BURST_ROWS and sides and min(sides) > BURST_SIZE:

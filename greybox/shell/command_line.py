@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -225,7 +226,7 @@ def confirm_model(study: Study, named_model: str | None = None) -> Study:
 
 def _show(answer: Answer, study: Study, commands: Mapping[str, Command]) -> None:
     """Print an answer as text or JSON, write what goes with it, and end with its exit code."""
-    width = terminal_width()
+    width = terminal_width(sys.stdout)
     if not (study.silent or study.json):
         from greybox.show.describe import text
         from greybox.show.printers.text import wrap_command

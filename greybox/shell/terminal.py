@@ -117,17 +117,14 @@ def is_terminal(stream: TextIO | None) -> bool:
     return stream is not None and stream.isatty()
 
 
-def terminal_width() -> int:
-    """Columns of the terminal that the answer goes to."""
-    return shutil.get_terminal_size((LINE_WIDTH, 24)).columns if is_terminal(sys.stdout) else LINE_WIDTH
+def terminal_width(stream: TextIO | None) -> int:
+    """Columns of the terminal that ``stream`` goes to, and of a usual one where it goes elsewhere."""
+    return shutil.get_terminal_size((LINE_WIDTH, 24)).columns if is_terminal(stream) else LINE_WIDTH
 
 
 def print_note(message: str) -> None:
-    """A line on stderr, so that stdout stays what was asked for; on a terminal no word of it is broken."""
-    text = to_message(message)
-    if is_terminal(sys.stderr):
-        text = "\n".join(wrap(text, shutil.get_terminal_size((LINE_WIDTH, 24)).columns, "  "))
-    click.echo(text, err=True)
+    """A message on stderr, so that stdout stays what was asked for: its first line, and those that go on with two spaces in front."""
+    click.echo("\n".join(wrap(to_message(message), terminal_width(sys.stderr), "  ")), err=True)
 
 
 def print_answer(text: str) -> None:

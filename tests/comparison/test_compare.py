@@ -5,7 +5,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
@@ -16,6 +15,7 @@ from greybox.comparison.result import Comparison, ComparisonFinding, ComparisonP
 from greybox.shell.commands import app
 from greybox.show.figures.pictures import draw_comparison
 from greybox.simulation.simulate import write_csv
+from tests.support.command import CliRunner
 from tests.support.result_schema import strict_offences
 
 STEP, NOISE, M, D, K = 0.05, 2e-3, 1.0, 0.8, 9.0

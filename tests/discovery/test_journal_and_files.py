@@ -6,7 +6,6 @@ from multiprocessing import get_context
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import DataError
@@ -19,6 +18,7 @@ from greybox.shell.commands import app
 from greybox.shell.project import find_model
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
+from tests.support.command import CliRunner
 from tests.support.hidden_rigs import ACTUATOR, AT_REST, plain_model, simulate_records
 from tests.support.result_schema import strict_offences
 

@@ -228,6 +228,8 @@ def test_what_a_model_lacks_is_no_burst():
 
 def test_profiles_of_a_fit_with_bursts_leave_out_the_same_readings():
     found = fit(
-        TANKS, spoil_in_bursts(make_record("tanks"), "tanks", 0.05, 10, one_sided=True), options=FitOptions(loss="huber")
+        TANKS,
+        spoil_in_bursts(make_record("tanks"), "tanks", 0.05, 10, one_sided=True),
+        options=FitOptions(loss="huber"),
     )
     assert profile(found, "A").interval == pytest.approx(found.parameters["A"].interval, rel=2e-3)

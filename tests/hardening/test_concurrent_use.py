@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import greybox as gb
 from greybox.base.files import PART
@@ -25,6 +24,7 @@ from greybox.shell.commands import app
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
 from tests.support.child import run_in_child
+from tests.support.command import CliRunner
 from tests.support.reliability import note_row, size_of
 
 pytestmark = [

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import greybox as gb
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
 from tests.support.child import run_in_child
+from tests.support.command import CliRunner
 from tests.support.reliability import note_row, size_of
 
 pytestmark = [

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from greybox.base.errors import DataError
 from greybox.data.read import read_csv
@@ -25,6 +24,7 @@ from models.silverbox import silverbox
 from tests.hardening.mutations import mutate_bytes, mutate_text
 from tests.hardening.record_files import odd_files, packed_lies, valid_files
 from tests.support.child import run_in_child
+from tests.support.command import CliRunner
 from tests.support.reliability import note_row, size_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(7200)]

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from greybox.base.json_file import read_json
 from greybox.estimation.result import Fit
@@ -20,6 +19,7 @@ from greybox.shell.commands import app
 from models.silverbox import silverbox
 from tests.hardening.test_fuzz_records import time_limit
 from tests.oracles.independent import linear_record, multisine
+from tests.support.command import CliRunner
 from tests.support.reliability import note_row
 
 pytestmark = [

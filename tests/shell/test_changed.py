@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import greybox as gb
 from greybox.data.file_kinds import list_record_files
@@ -16,6 +15,7 @@ from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
+from tests.support.command import CliRunner
 from tests.support.result_schema import strict_offences
 
 PERIOD = 1.6384e-3

@@ -8,11 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 from greybox.model.effects.catalogue import CATALOGUE
 from greybox.shell.commands import app
 from models.micro_actuator import micro_actuator
+from tests.support.command import CliRunner
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from greybox.estimation.findings import EstimationCode
 from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
+from tests.support.command import CliRunner
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, with_gaps
 
 FILE = """

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import greybox as gb
 from greybox.extensions.design.problem import DESIGN_POLICY
 from greybox.shell.commands import app
 from greybox.simulation.simulate import read_inputs, write_csv
 from models.silverbox import silverbox
+from tests.support.command import CliRunner
 from tests.support.result_schema import strict_offences
 
 BASE = ["--limit", "u=-0.1:0.1", "--duration", "0.3", "--sampling-time", "1.5e-3"]

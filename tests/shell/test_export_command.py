@@ -7,7 +7,6 @@ import sys
 import casadi as ca
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import greybox as gb
 from greybox.base.values import Finding
@@ -16,6 +15,7 @@ from greybox.shell.commands import app
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from models.silverbox import silverbox
+from tests.support.command import CliRunner
 
 FORMATS = {"control": "_ss.py", "mat": ".mat", "json": ".json", "numpy": ".npz", "modelica": ".mo", "python": ".py"}
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import greybox as gb
 from greybox.shell.commands import app
@@ -20,6 +19,7 @@ from greybox.shell.plants import PlantKind
 from tests.base.parallel.test_jobs import lag
 from tests.oracles.independent import linear_record
 from tests.shell.project.test_outline import TRAP
+from tests.support.command import CliRunner
 
 ROOT = Path(__file__).resolve().parents[2]
 

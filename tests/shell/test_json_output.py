@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from jsonschema import Draft202012Validator
 
 from greybox import FitOptions, fit, simulate
@@ -19,6 +18,7 @@ from greybox.shell.commands import COMMANDS, app
 from greybox.shell.printed import list_printed, schema_of_command
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
+from tests.support.command import CliRunner
 from tests.support.result_schema import strict_offences
 from tests.support.robots import DOUBLE_PENDULUM, joint_log, write, write_log
 

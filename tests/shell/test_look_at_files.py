@@ -6,11 +6,11 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from greybox.data.findings import RecordCode
 from greybox.data.survey import survey_file
 from greybox.shell.commands import app
+from tests.support.command import CliRunner
 
 
 def run(*words):

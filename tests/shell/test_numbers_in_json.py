@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import greybox as gb
 from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
+from tests.support.command import CliRunner
 from tests.support.hidden_rigs import simulate_records
 
 # Unit as it is shown -> what a number in the unit of the model is multiplied by.

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from greybox import FitOptions, fit, simulate
 from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
+from tests.support.command import CliRunner
 
 NOISE = {"x": 2e-7, "i": 5e-3}
 SIGNAL = "simulate micro_actuator --step 1 --duration 0.1 --sampling-time 1e-3"

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from greybox.shell.commands import app
 from greybox.shell.project import find_model
+from tests.support.command import CliRunner
 from tests.support.robots import DOUBLE_PENDULUM, double_pendulum_torques, joint_log, write, write_log
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import click.testing
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from greybox import FitOptions, compare, fit, linearise
 from greybox.base.errors import DataError
@@ -18,6 +19,7 @@ from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record
+from tests.support.command import CliRunner
 
 Run = Callable[..., Result]
 RIG = micro_actuator.fix("M", "Ra")
@@ -110,6 +112,13 @@ def test_a_mistake_is_told_in_one_line(run: Run, data: Path, tmp_path: Path, wor
     assert result.stderr.startswith(f"error: {message}")
     assert result.stderr.count("\n") == 1 and result.stdout == ""
     assert [path.name for path in tmp_path.iterdir()] == ["data.csv"]
+
+
+def test_a_long_message_is_wrapped_at_80_columns_where_there_is_no_terminal(data: Path) -> None:
+    words = "simulate micro_actuator --multisine 2 --band 5:4000 --duration 0.1 --sampling-time 2.5e-4"
+    lines = click.testing.CliRunner().invoke(app, words.split()).stderr.splitlines()
+    assert len(lines) > 1 and lines[0].startswith("error: ")
+    assert all(line.startswith("  ") for line in lines[1:]) and max(map(len, lines)) <= 80
 
 
 def test_without_a_word_the_command_shows_its_help(run: Run) -> None:

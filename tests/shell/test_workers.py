@@ -15,13 +15,13 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import greybox as gb
 from greybox.shell.commands import app
 from greybox.shell.terminal import exit_on_error
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
+from tests.support.command import CliRunner
 
 ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, sys.path)])}

@@ -20,9 +20,9 @@ from pathlib import Path
 from unittest import mock
 
 import matplotlib as mpl
-from click.testing import CliRunner
 
 from greybox.shell.commands import app
+from tests.support.command import CliRunner
 
 ROOT = Path(__file__).resolve().parents[2]
 BLOCK = re.compile(r"^(<!-- slow -->\n)?```(\w*)[^\S\n]*([^\n]*)\n(.*?)^```", re.DOTALL | re.MULTILINE)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from greybox import Balance, Input, Model, Output, Parameter, State, fit
 from greybox.base.errors import DataError, ModelError
@@ -22,6 +21,7 @@ from models.emps import emps
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from models.silverbox import silverbox
+from tests.support.command import CliRunner
 
 NOISE = {"x": 2e-7, "i": 5e-3}
 

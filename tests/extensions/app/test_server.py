@@ -12,7 +12,6 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 from greybox.extensions.app.command import StudyOnFile
 from greybox.extensions.app.server import page_policy, page_text
@@ -21,6 +20,7 @@ from greybox.extensions.app.workbench import Workbench
 from greybox.shell.commands import app
 from greybox.shell.inputs import build_model
 from greybox.shell.study import Study
+from tests.support.command import CliRunner
 
 pytest.importorskip("tornado", reason="the app's server is not installed")
 from greybox.extensions.app.server import AppServer

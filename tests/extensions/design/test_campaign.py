@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import DataError
@@ -36,6 +35,7 @@ from greybox.extensions.design.campaign import (
 from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignPolicy
 from greybox.shell.commands import app
 from greybox.show.describe import describe_page
+from tests.support.command import CliRunner
 from tests.support.result_schema import strict_offences
 
 pytestmark = pytest.mark.rest

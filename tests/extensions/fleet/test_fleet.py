@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.signal import lfilter
 from statsmodels.stats.meta_analysis import combine_effects
 
@@ -28,6 +27,7 @@ from greybox.extensions.fleet.records import RecordCollection, RecordReference
 from greybox.extensions.fleet.result import ConstantDistribution, FleetCode, RecordEstimate
 from greybox.extensions.formats.parquet_file import find_record_rows, open_parquet_part
 from greybox.shell.commands import app
+from tests.support.command import CliRunner
 from tests.support.first_order import first_order
 from tests.support.result_schema import strict_offences
 

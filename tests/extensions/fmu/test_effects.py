@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.signal import lsim
 
 import greybox as gb
@@ -23,6 +22,7 @@ from greybox.model.equations import equations_text
 from greybox.shell.commands import app
 from greybox.show.describe import text
 from greybox.simulation.kernel.c_compiler import GreyboxWarning
+from tests.support.command import CliRunner
 from tests.support.reference_fmus import MASS, VAN_DER_POL, build_reference_fmu
 from tests.support.result_schema import strict_offences
 

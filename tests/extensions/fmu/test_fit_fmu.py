@@ -10,7 +10,6 @@ import zipfile
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -24,6 +23,7 @@ from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 from greybox.shell.answers import FitAnswer
 from greybox.shell.commands import app
 from models.micro_actuator import micro_actuator
+from tests.support.command import CliRunner
 from tests.support.reference_fmus import BOUNCING_BALL, DAHLQUIST, MASS, VAN_DER_POL, build_reference_fmu
 from tests.support.result_schema import strict_offences
 

@@ -8,11 +8,11 @@ import runpy
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 from greybox import GreyboxError
 from greybox.shell.commands import app
 from greybox.shell.template import plant_names, write_project
+from tests.support.command import CliRunner
 
 HIDDEN = {
     "chamber": "transport_delay",

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.signal import butter, lfilter
 
 import greybox as gb
@@ -34,6 +33,7 @@ from greybox.show.documents.tables import misfit_table
 from greybox.show.figures.records import plot_residual
 from greybox.show.printers.html import LARGEST_PAGE, cell, label, render_page, say, write_page
 from models.micro_actuator import micro_actuator
+from tests.support.command import CliRunner
 from tests.support.findings import codes
 from tests.support.first_order import first_order
 
