@@ -206,7 +206,7 @@ def spoil_in_bursts(record, rig, share, size, *, one_sided, seed=3):
 def test_bursts_do_not_pull_together(rig):
     model, record = RIGS[rig][0], make_record(rig)
     clean = fit(model, record)
-    for share, size, one_sided in ((0.05, 10, True), (0.05, 100, False), (0.1, 30, True), (0.05, 1000, True)):
+    for share, size, one_sided in ((0.1, 30, True), (0.05, 1000, True)):
         spoilt = spoil_in_bursts(record, rig, share, size, one_sided=one_sided)
         found = fit(model, spoilt, options=FitOptions(loss="huber"))
         for name in clean.uncertainty.free:
