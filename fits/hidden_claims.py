@@ -2,7 +2,8 @@
 
 Every claim of every answer of `fits.hidden_study` is one observation: how often it won when the records were drawn again, what was left
 and whether it is true. ``calibrate`` fits four numbers a depth to one draw of cases and writes them to the library
-(``greybox/discovery/certainty.json``); ``write_claims`` judges the numbers of the library on the answers of another draw, ``claims.md``.
+(``greybox/discovery/certainty.json``); ``write_claims`` judges the numbers of the library on the answers of another draw, at the end
+of ``discovery_study.md``.
 """
 
 from __future__ import annotations
@@ -159,24 +160,23 @@ TITLES = {
 
 
 def write_claims(rows: Sequence[Row], docs: Path) -> None:
-    """``claims.md`` and ``figures/claims.svg`` in ``docs``, from cases that the map has not seen."""
+    """The last part of ``discovery_study.md`` and ``figures/claims.svg`` in ``docs``, from cases that the map has not seen."""
     (docs / "figures").mkdir(parents=True, exist_ok=True)
     _figure(rows).savefig(docs / "figures" / "claims.svg", metadata={"Date": None})
     plants = sorted({row["plant"] for row in rows})
     without = sum(answer["left_out"] for row in rows for answer in row["answers"])
     text = [
-        "# How certain is an established claim?",
-        f"Each claim of an answer has a probability. Here it is held against the truth, on {len(rows)} simulated cases"
-        f" ({rows[0]['name']} to {rows[-1]['name']}, {sum(len(r['answers']) for r in rows)} answers) on {len(plants)} plants"
-        f" ({', '.join(plants)}) that took no part in setting anything: the numbers that turn a weight into a probability were fitted to"
-        f" another draw. In {without} of the answers the true effect and its family had been taken away from the candidates. Written by"
-        " `python -m fits.hidden_study FOLDER --page`; FOLDER holds each answer.",
+        "## How certain is an established claim?",
+        f"Each claim of an answer has a probability. Here it is held against the truth, on these {len(rows)} cases"
+        f" ({rows[0]['name']} to {rows[-1]['name']}, {sum(len(r['answers']) for r in rows)} answers, {without} of them without the truth,"
+        f" on {len(plants)} plants): the numbers that turn a weight into a probability were fitted to another draw.",
         f"A claim is established from a probability of {ESTABLISHED_FROM:g} on.",
         _depth_table(rows),
-        *(f"## {TITLES[d].capitalize()}\n\n{_reliability_table(list_claims(rows, d))}" for d in Depth if d),
+        *(f"### {TITLES[d].capitalize()}\n\n{_reliability_table(list_claims(rows, d))}" for d in Depth if d),
         "![Stated probability against observed frequency, by depth](figures/claims.svg)",
     ]
-    (docs / "claims.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")
+    with (docs / "discovery_study.md").open("a", encoding="utf-8") as page:
+        page.write("\n" + "\n\n".join(text) + "\n")
 
 
 def state(claims: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:

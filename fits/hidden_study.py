@@ -6,7 +6,7 @@ Every other case is on one of two rigs (`fits.hidden_cases`), the others on six 
 without greybox. Each case is answered twice: with every effect of the catalogue among the candidates, and with the true effects and
 their families taken away. Every case leaves FOLDER/NNNNN.json, so the study goes on where it was stopped.
 
-``--page`` writes docs/studies/discovery_study.md and docs/studies/claims.md with their figures from what FOLDER holds, bad results
+``--page`` writes docs/studies/discovery_study.md with its figures from what FOLDER holds, bad results
 included.
 ``--calibrate`` fits the map from the weight of a claim to its probability to what FOLDER holds: the page on claims must then come from
 another draw.

@@ -7,6 +7,7 @@ and noise of its own seed: viscous friction at seven joints of ten, dry friction
 it. Half of the runs hide nothing. ``python -m fits.robot_arms 100 150`` runs these seeds; the thresholds of the search were set on others.
 `study` with ``rare`` makes every joint dry, gives half of them a Stribeck rise or friction that grows with the load, and one joint a wrong
 gain in half of the runs. Of two joints nothing tells which one reads wrong.
+`study_currents` logs currents instead, without and with a payload that was weighed: do the intervals of torque constants hold?
 
 What to expect: all effects have their names, none is wrong as certain, 93 to 97 % of the 95 % intervals hold, the payload is within 1 %.
 """
@@ -188,11 +189,13 @@ class Tally:
     wrong: int = 0
     wrong_as_certain: int = 0
     payload: float = 0.0
+    payloads_inside: int = 0
 
     def __str__(self) -> str:
         return (
             f"{np.mean(self.inside):.1%} of {len(self.inside)} intervals hold, {self.named} of {self.hidden} effects named,"
-            f" {self.wrong} wrong, {self.wrong_as_certain} of them as certain, payload within {self.payload:.2%}"
+            f" {self.wrong} wrong, {self.wrong_as_certain} of them as certain, payload within {self.payload:.2%},"
+            f" {self.payloads_inside} times inside its interval"
         )
 
 
@@ -220,7 +223,32 @@ def study(name: str, seeds: Sequence[int], folder: Path, *, hides: bool, rare: b
         if hides:
             weighed = identified.payload.mass if identified.payload else 0.0
             tally.payload = max(tally.payload, abs(weighed / hidden.payload[0] - 1))
+            low, high = identified.payload.mass_interval if identified.payload else (0.0, 0.0)
+            tally.payloads_inside += low <= hidden.payload[0] <= high
     return tally
+
+
+def study_currents(name: str, seeds: Sequence[int], folder: Path) -> tuple[list[bool], list[bool]]:
+    """Which intervals hold: of torque constants, and of their ratios to that of the first joint.
+
+    Two logs of currents of each arm, the second with a payload of known mass, which tells their level.
+    """
+    arm = read_arm(name, folder)
+    constants_inside, ratios_inside = [], []
+    for seed in seeds:
+        generator = np.random.default_rng([seed, len(arm.axes), 3])
+        hidden, constants = draw_hidden(arm, generator), generator.uniform(0.5, 5, len(arm.axes))
+        logs = []
+        for title, each in (("bare", arm), ("loaded", with_payload(arm, hidden.payload))):
+            log = run_arm(each, hidden, generator)
+            columns = {f"i{k}": log.outputs[f"tau{k}"] / constant for k, constant in enumerate(constants, 1)}
+            positions = {n: v for n, v in log.outputs.items() if n.startswith("q")}
+            logs.append(gb.Experiment(title, log.time, {}, {**positions, **columns}))
+        identified = gb.robots.identify_robot(arm, logs, payloads={"loaded": float(hidden.payload[0])})
+        for found, constant in zip(identified.torque_constants, constants, strict=True):
+            constants_inside.append(found.interval[0] <= constant <= found.interval[1])
+            ratios_inside.append(found.ratio_interval[0] <= constant / constants[0] <= found.ratio_interval[1])
+    return constants_inside, ratios_inside
 
 
 def verdict(tally: Tally) -> None:

@@ -41,10 +41,10 @@ def describe_robot(identified: RobotIdentification, *, command: str = "") -> doc
 
 def _answer(identified: RobotIdentification) -> str:
     certain = [e for e in identified.effects if e.grade is Grade.ESTABLISHED]
-    found = {words: [e.joint for e in certain if e.kind == kind] for kind, words in WORDS.items()}
+    named = {words: [e.joint for e in certain if e.kind == kind] for kind, words in WORDS.items()}
     parts = [
         f"{words} at {join_names(joints) if len(joints) <= NAMED_JOINTS else count_noun(len(joints), 'joint')}"
-        for words, joints in found.items()
+        for words, joints in named.items()
         if joints
     ]
     lacks = join_names(parts) if parts else "nothing that is certain beside rigid bodies"

@@ -78,12 +78,9 @@ in one line, `Model(..., has=("gear", "fluid"), lacks=("spring",))`, a study fil
 model: without an input there is no motor, and a body that nothing drives or holds hangs on no spring. What is said counts before what
 follows. A model that lists its `candidates` has said what may hide; only parts that it is told to lack leave one of them out.
 
-"""
-OCCURRENCE_HEAD = """
-The classes are a judgement on the counts of 109 published, shipped or fitted models of rigs, good to a factor of two: which share of
-the rigs with the part lacks the effect in its plain model, at one place
-({classes}). They order what does equally well on
-the records, and never make a name more certain. An effect of your own counts as common.
+The classes below ({classes}) are a judgement on the counts of 109
+published, shipped or fitted models of rigs, good to a factor of two: which share of the rigs with the part lacks the effect in its
+plain model, at one place. They order what does equally well on the records, and never make a name more certain. An effect of your own counts as common.
 
 """
 
@@ -118,13 +115,19 @@ and ambient temperature), `tanks` and `tank-chain` (levels), `chamber` (pressure
 
 
 def write_catalogue_page(entries: Sequence[Effect]) -> str:
-    """The page of the documentation: a table of all effects, then a section for each."""
-    lines = [HEAD, "| effect | acts at | equation |", "|---|---|---|"]
-    lines += [f"| [{e.name}](#{e.name}) | {e.site} | `{e.equation.replace('|', chr(92) + '|')}` |" for e in entries]
-    lines += _parts_section(entries)
+    """The page of the documentation: all effects by where they act, then a section for each."""
+    at_site: dict[str, list[str]] = {}
+    for e in entries:
+        at_site.setdefault(e.site, []).append(e.name)
+    lines = [HEAD, *(f"- {site}: {_names(names, ', ')}" for site, names in at_site.items())]
+    classes = ", ".join(f"{kind} {kind.probability:g}" for kind in Occurrence)
+    lines += [PARTS_HEAD.format(classes=classes) + "| part | what it is |", "|---|---|"]
+    lines += [f"| `{p.name}` | {p.meaning} |" for p in PARTS]
     for e in entries:
         needed = NEEDED.get(e.site, f"the balance `{e.site}`")
-        lines += ["", f"## {e.name}", "", f"`{e.equation}`", "", f"Needs {needed}.", ""]
+        parts = f", of a rig with {' or '.join(f'`{name}`' for name in e.needs)}" if e.needs else ""
+        usual = ", ".join([e.occurs, *(f"with `{name}` {kind}" for name, kind in e.occurs_with.items())])
+        lines += ["", f"## {e.name}", "", f"`{e.equation}`", "", f"Needs {needed}{parts}; {usual}.", ""]
         lines += [f"- `{q.name}` [{_plain(q.unit)}]: {q.description}" for q in e.parameters]
         lines += [""] if e.parameters else []
         if e.parents:
@@ -135,19 +138,6 @@ def write_catalogue_page(entries: Sequence[Effect]) -> str:
             lines += [f"Says the same as {_names(e.stands_for, ' with ')}, and is no candidate where these are.", ""]
         lines += [f"Tell it apart: {e.tells_apart}", "", f"Source: {e.source}."]
     return "\n".join(lines) + "\n"
-
-
-def _parts_section(entries: Sequence[Effect]) -> list[str]:
-    """The parts of a rig, and how usual each effect is."""
-    classes = ", ".join(f"{kind} {kind.probability:g}" for kind in Occurrence)
-    lines = [PARTS_HEAD + "| part | what it is |", "|---|---|"]
-    lines += [f"| `{p.name}` | {p.meaning} |" for p in PARTS]
-    lines += [OCCURRENCE_HEAD.format(classes=classes) + "| effect | the rig must have | usual? |", "|---|---|---|"]
-    for e in entries:
-        needs = " or ".join(f"`{name}`" for name in e.needs)
-        with_part = [f"with `{name}` {kind}" for name, kind in e.occurs_with.items()]
-        lines.append(f"| [{e.name}](#{e.name}) | {needs} | {'; '.join([e.occurs, *with_part])} |")
-    return lines
 
 
 def describe_missing(placement: Placement) -> str:

@@ -73,7 +73,7 @@ def test_a_section_of_the_page():
         "\n"
         "`-(Fc + mu (sizes of the forces that do not depend on v)) sign(v)`\n"
         "\n"
-        "Needs a balance of a velocity, in N, N m or per mass.\n"
+        "Needs a balance of a velocity, in N, N m or per mass, of a rig with `gear`; occasional, with `weight` common.\n"
         "\n"
         "- `Fc` [{force}]: friction without load\n"
         "- `mu` [1]: friction over the force transmitted\n"
