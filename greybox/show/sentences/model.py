@@ -80,7 +80,8 @@ follows. A model that lists its `candidates` has said what may hide; only parts 
 
 The classes below ({classes}) are a judgement on the counts of 109
 published, shipped or fitted models of rigs, good to a factor of two: which share of the rigs with the part lacks the effect in its
-plain model, at one place. They order what does equally well on the records, and never make a name more certain. An effect of your own counts as common.
+plain model, at one place. They order what does equally well on the records, and never make a name
+more certain. An effect of your own counts as common.
 
 """
 
