@@ -64,7 +64,7 @@ def changed(study: ChangeStudy) -> Answer:
     """
     known = inputs.load_fit_with_model(Path(study.source), study.model)
     folder = inputs.result_folder(study, known.model.name)
-    result = (_survey if study.population else _chart if study.chart else _detect)(known, study)
+    result = _compare(known, study)
     saved = result.save(folder / "changed.json")
     return Answer(
         result,
@@ -91,22 +91,27 @@ def _next(known: Fit, result: ChangeDetection, study: ChangeStudy) -> NextComman
     return study.then("fit", study.model or known.model.name, *study.estimation, *effects, *fixed, holds=IN_RESULT)
 
 
-def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:
+def _compare(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.base.parallel.jobs import open_workers
     from greybox.data.file_kinds import list_record_files
     from greybox.data.identity import refuse_repeated
     from greybox.extensions.changes.detect import detect_changes
+    from greybox.extensions.changes.survey import chart_changes, survey_population
 
-    files = list_record_files(study.estimation)
-    records = read_like(known, files, study)
-    refuse_repeated(records)
+    groups = [[path] for path in study.estimation] if study.population else [study.estimation]
+    records = [read_like(known, list_record_files(group), study) for group in groups]
+    refuse_repeated(record for each in records for record in each)
     validation = read_like(known, study.validation, study) if study.validation else ()
     inputs.check_skip(study, validation)
-    inputs.print_record_notes(records, validation)
+    inputs.print_record_notes(*records, validation)
+    if study.population:
+        return survey_population(known, dict(zip(map(str, study.estimation), records, strict=True)))
+    if study.chart:
+        return chart_changes(known, records[0])
     with open_workers(study.workers, study.cluster) as executor, show_search_progress() as (say, report):
         return detect_changes(
             known,
-            records,
+            records[0],
             validation=validation,
             skip=study.skip,
             search_effects=not study.no_effects,
@@ -115,29 +120,6 @@ def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:
             on_message=say,
             on_refit=report,
         )
-
-
-def _survey(known: Fit, study: ChangeStudy) -> ChangeDetection:
-    from greybox.data.file_kinds import list_record_files
-    from greybox.data.identity import refuse_repeated
-    from greybox.extensions.changes.survey import survey_population
-
-    machines = {str(path): read_like(known, list_record_files([path]), study) for path in study.estimation}
-    refuse_repeated(record for records in machines.values() for record in records)
-    inputs.print_record_notes(*machines.values())
-    return survey_population(known, machines)
-
-
-def _chart(known: Fit, study: ChangeStudy) -> ChangeDetection:
-    from greybox.data.file_kinds import list_record_files
-    from greybox.data.identity import refuse_repeated
-    from greybox.extensions.changes.survey import chart_changes
-
-    files = list_record_files(study.estimation)
-    records = read_like(known, files, study)
-    refuse_repeated(records)
-    inputs.print_record_notes(records)
-    return chart_changes(known, records)
 
 
 def read_like(known: Fit, files: Sequence[Path], study: Study) -> tuple[Experiment, ...]:

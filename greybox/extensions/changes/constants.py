@@ -14,7 +14,7 @@ from scipy.special import chdtrc, fdtrc, stdtr, stdtrit
 from greybox.base.linear_algebra import decompose_symmetric, pseudo_inverse
 from greybox.base.numerics import NEARLY_NORMAL
 from greybox.data.experiment import Experiment
-from greybox.data.noise.noise_model import AutoRegression, join_series
+from greybox.data.noise.noise_model import join_series
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
 from greybox.estimation.optimum import restore_noise
@@ -107,8 +107,11 @@ class FittedResidual:
     adequate: bool
 
 
-def read_constants(fit: Fit, residual: FittedResidual) -> FittedConstants:
-    """The constants of ``fit`` that can be compared: estimated for all its records together, and no intensities of noise."""
+def read_constants(fit: Fit, residual: FittedResidual | None = None) -> FittedConstants:
+    """The constants of ``fit`` that can be compared: estimated for all its records together, and no intensities of noise.
+
+    ``residual`` is read where it is not given.
+    """
     excluded = {*fit.model.noise_parameters, *fit.constraints.per_experiment}
     quantities = {q.name: q for q in fit.model.all_parameters}
     names = tuple(name for name in fit.uncertainty.free if name not in excluded and name in fit.parameters)
@@ -121,7 +124,9 @@ def read_constants(fit: Fit, residual: FittedResidual) -> FittedConstants:
     inflation = np.array([fit.uncertainty.inflation.get(name, 1.0) for name in names])
     slopes /= np.where(inflation > 0, np.minimum(inflation, 1.0), 1.0)
     # A constant at its bound counts as known in the covariance of the fit; another fit may have it elsewhere.
-    growth = _read_growth(fit)
+    findings = [f for f in fit.findings if f.code == EstimationCode.NARROWED_BY_BOUND]
+    # ... by how much its standard deviation grows with those at their bounds free; None where it is open then.
+    growth: dict[str, float | None] = {n: g for finding in findings for n, g in finding.values["growth"].items()}
     slopes *= np.array([growth.get(name) or 1.0 for name in names])
     covariance = fit.uncertainty.covariance[np.ix_(places, places)] * np.outer(slopes, slopes)
     units = tuple(fit.parameters[name].unit for name in names)
@@ -132,23 +137,19 @@ def read_constants(fit: Fit, residual: FittedResidual) -> FittedConstants:
     covariance[open_ones, open_ones] = np.inf
     narrowed = tuple(name for name in names if name in growth)
     undetermined = tuple(name for name in names if name in growth or not fit.parameters[name].determined)
-    degrees = _degrees(fit, residual)
+    degrees = _degrees(fit, residual or read_residual(fit))
     return FittedConstants(names, units, values, covariance, positive, at_bound, degrees, narrowed, undetermined)
 
 
-def _read_growth(fit: Fit) -> dict[str, float | None]:
-    """By how much the standard deviation of each narrowed constant grows with those at their bounds free; None where it is open then."""
-    narrowed = [f for f in fit.findings if f.code == EstimationCode.NARROWED_BY_BOUND]
-    return {name: growth for finding in narrowed for name, growth in finding.values["growth"].items()}
-
-
+# Misfit over noise up to which a fit leaves only noise, whatever the colour of that: its residual is a yardstick for today's.
+ADEQUATE_RATIO = 1.1
 # Lags at most over which the residual's autocorrelation is summed (Ljung and Box) ...
 CHANGE_TEST_LAGS = 20
 # ... with so many rows at least for each lag.
 ROWS_PER_LAG = 10
 
 
-def read_residual(fit: Fit, adequate_ratio: float) -> FittedResidual:
+def read_residual(fit: Fit, adequate_ratio: float = ADEQUATE_RATIO) -> FittedResidual:
     """The residual of ``fit``; of a fit with process noise there is none to compare, as its runs follow the measurement."""
     noise = restore_noise(fit)
     names = [o.name for o in fit.model.outputs]
@@ -156,7 +157,7 @@ def read_residual(fit: Fit, adequate_ratio: float) -> FittedResidual:
     # NaN where a record lacks the output.
     series = tuple(
         tuple(
-            _whiten(trace.residual(name), fit.noise.std[name], noise.colour[names.index(name)])
+            noise.colour[names.index(name)].whiten(trace.residual(name) / fit.noise.std[name], overwrite_input=True)
             if name in trace.measured and name in trace.simulated
             else np.full(len(trace.time), np.nan)
             for trace in fit.traces
@@ -187,12 +188,6 @@ def read_residual(fit: Fit, adequate_ratio: float) -> FittedResidual:
     return FittedResidual(
         measured, squares, np.array(whiteness), colour, np.array(degrees), np.array(kurtosis), adequate
     )
-
-
-def _whiten(residual: np.ndarray, noise: float, colour: AutoRegression) -> np.ndarray:
-    """A residual over its noise, without its colour, in its own place."""
-    residual /= noise
-    return colour.whiten(residual, overwrite_input=True)
 
 
 def _degrees(fit: Fit, residual: FittedResidual) -> float:
@@ -392,15 +387,14 @@ def _estimate_each(
     estimates: list[ConstantsEstimate | None] = []
     for piece in pieces:
         result = fit(whole.model, piece, noise=restore_noise(whole), options=options)
-        read = read_constants(result, read_residual(result, 1.0)) if result.success else None
-        same = read is not None and read.names == constants.names
-        if read is None or not (same and (read.positive == constants.positive).all()):
+        read = read_constants(result) if result.success else None
+        if read is None or read.names != constants.names or (read.positive != constants.positive).any():
             estimates.append(None)
-        else:
-            # What holds only with another constant at its bound is no estimate of this one: the next piece has that off its bound.
-            narrowed = read.index(read.narrowed)
-            read.covariance[narrowed, narrowed] = np.inf
-            estimates.append(ConstantsEstimate.of(read.scaled, read.covariance))
+            continue
+        # What holds only with another constant at its bound is no estimate of this one: the next piece has that off its bound.
+        narrowed = read.index(read.narrowed)
+        read.covariance[narrowed, narrowed] = np.inf
+        estimates.append(ConstantsEstimate.of(read.scaled, read.covariance))
     return estimates
 
 

@@ -164,8 +164,6 @@ Records = Experiment | Sequence[Experiment]
 CHANGE_TEST_FALSE_ALARM_RATE = 0.01
 # Share of this rate that goes to the tests of the residual (has it grown, is it no longer white); the rest goes to the constants.
 CHANGE_TEST_RESIDUAL_SHARE = 0.2
-# Misfit over noise up to which a fit leaves only noise, whatever the colour of that: its residual is a yardstick for today's.
-ADEQUATE_RATIO = 1.1
 
 
 def detect_changes(
@@ -242,7 +240,7 @@ def detect_changes(
         failed = (Finding(ChangeCode.FIT_FAILED, Severity.WARNING, values=values),)
         seconds = time.perf_counter() - began
         return ChangeDetection(ChangeVerdict.CANNOT_TELL, reference, today, {}, failed, findings, seconds=seconds)
-    residuals = read_residual(reference, ADEQUATE_RATIO), read_residual(today, ADEQUATE_RATIO)
+    residuals = read_residual(reference), read_residual(today)
     if not residuals[0].adequate:
         findings = (*findings, Finding(ChangeCode.MODEL_LACKS_SOMETHING, Severity.WARNING))
     level = CHANGE_TEST_FALSE_ALARM_RATE
@@ -254,7 +252,7 @@ def detect_changes(
         # what each record leaves by itself.
         by_record = _fit_own_constants(reference, today, listed)
         if by_record:
-            judged = read_residual(by_record[0], ADEQUATE_RATIO), read_residual(by_record[1], ADEQUATE_RATIO)
+            judged = read_residual(by_record[0]), read_residual(by_record[1])
             of_residual = check_residual(*judged, CHANGE_TEST_RESIDUAL_SHARE * level)
     level_of_constants = (1 - CHANGE_TEST_RESIDUAL_SHARE) * level if of_residual else level
     discovery = None
@@ -285,7 +283,7 @@ def detect_changes(
         # The constants of today are those beside the effect that has appeared.
         if list_appeared_effects(discovery):
             today = discovery.best
-            residuals = residuals[0], read_residual(today, ADEQUATE_RATIO)
+            residuals = residuals[0], read_residual(today)
     before, after = read_constants(reference, residuals[0]), read_constants(today, residuals[1])
     scatter: MeasuredScatter | None = None
     shares: dict[str, float] = {}
@@ -296,7 +294,7 @@ def detect_changes(
             # Of a model that lacks something only records of the same motion say the same of its constants.
             repeats = match_repeats([trace.experiment for trace in reference.traces], listed)
             compared = _fit_repeats(reference, today, repeats)
-            before, after = (read_constants(f, read_residual(f, ADEQUATE_RATIO)) for f in compared)
+            before, after = map(read_constants, compared)
         if after.names == before.names:
             shares = _share_beyond_missing_part(compared, before, after)
             scatter = measure_scatter(*compared, before, after, repeats.pairs, adequate=adequate)
@@ -531,20 +529,13 @@ def _conclude(
         conclusion.append(Finding(ChangeCode.EFFECT_APPEARED, Severity.WARNING, effect["name"], values))
     for name, change in constants.items():
         if change.moved and change.interval:
-            values = {
-                "before": change.before,
-                "after": change.after,
-                "unit": change.unit,
-                "low": change.interval[0],
-                "high": change.interval[1],
-            }
+            values = {"before": change.before, "after": change.after, "unit": change.unit}
+            values |= dict(zip(("low", "high"), change.interval, strict=True))
             conclusion.append(Finding(ChangeCode.CONSTANT_MOVED, Severity.WARNING, name, values))
     if ChangeRule.CONSTANTS_AS_BEFORE in failed and test and not any(c.moved for c in constants.values()):
         # No constant by itself stands out: the combination that does is named by its larger entries.
-        combination = {
-            name: float(w) for name, w in zip(test.names, test.direction, strict=True) if abs(w) > NAMED_WEIGHT
-        }
-        values = {"combination": combination, "p": test.p_value}
+        weights = zip(test.names, test.direction.tolist(), strict=True)
+        values = {"combination": {n: w for n, w in weights if abs(w) > NAMED_WEIGHT}, "p": test.p_value}
         conclusion.append(Finding(ChangeCode.COMBINATION_MOVED, Severity.WARNING, values=values))
     # An effect that has appeared explains the residual; without one the residual is described as it is.
     if failed - {ChangeRule.CONSTANTS_AS_BEFORE} and not appeared:

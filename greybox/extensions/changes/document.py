@@ -108,16 +108,10 @@ def change_tables(change: result.ChangeDetection) -> Iterator[doc.TableBlock]:
         yield doc.TableBlock(caption, ["machine", *units, "falls out in"], rows)
     if change.change_points:
         head = ["parameter", "number", "first record after it", "before", "after", "p"]
-        rows = [
-            [
-                c.constant,
-                str(c.number),
-                c.record,
-                *(value_with_unit(v, c.unit, 4) for v in (c.before, c.after)),
-                p_text(c.p),
-            ]
-            for c in change.change_points
-        ]
+        rows = []
+        for c in change.change_points:
+            levels = (value_with_unit(v, c.unit, 4) for v in (c.before, c.after))
+            rows.append([c.constant, str(c.number), c.record, *levels, p_text(c.p)])
         yield doc.TableBlock("Where constants jump; p is corrected for all constants", head, rows)
 
 
@@ -296,10 +290,8 @@ def _change_point(finding: Finding) -> str:
 
 def _check_text(meaning: str) -> Callable[[Check], str]:
     def write(check: Check) -> str:
-        outcome = "passed" if check.passed else "failed"
-        return (
-            f"{meaning.format(subject=check.subject)}: {p_statement(check.value)}, limit {check.limit:.2g}, {outcome}"
-        )
+        stated, outcome = meaning.format(subject=check.subject), "passed" if check.passed else "failed"
+        return f"{stated}: {p_statement(check.value)}, limit {check.limit:.2g}, {outcome}"
 
     return write
 

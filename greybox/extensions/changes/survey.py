@@ -24,7 +24,7 @@ from greybox.base.values import Finding, Severity
 from greybox.data.experiment import Experiment
 from greybox.estimation.result import Fit
 from greybox.extensions.changes import detect
-from greybox.extensions.changes.constants import FittedConstants, read_constants, read_residual
+from greybox.extensions.changes.constants import FittedConstants, read_constants
 from greybox.extensions.changes.result import (
     ChangeCode,
     ChangeDetection,
@@ -91,32 +91,17 @@ def survey_population(reference: Fit, machines: Mapping[str, Sequence[Experiment
             f"{len(machines)} {noun}: a population needs {LEAST_MACHINES} at least; give more, or leave out --population"
         )
     fits = {name: detect.refit(reference, records) for name, records in machines.items()}
-    estimates = {
-        name: read_constants(fit, read_residual(fit, detect.ADEQUATE_RATIO))
-        for name, fit in fits.items()
-        if fit.success
-    }
+    estimates = {name: read_constants(fit) for name, fit in fits.items() if fit.success}
     findings = [
         Finding(ChangeCode.MACHINE_NOT_FITTED, Severity.WARNING, name, {"status": fit.solver.status_message})
         for name, fit in fits.items()
         if not fit.success
     ]
-    names = read_constants(reference, read_residual(reference, detect.ADEQUATE_RATIO)).names
-    surveys = {
-        name: survey
-        for name in names
-        if (survey := _survey_constant(name, estimates, comparisons=len(names))) is not None
-    }
-    findings += [
-        Finding(
-            ChangeCode.CONSTANT_NOT_SEEN,
-            Severity.NOTE,
-            n,
-            {"share": None, "limit": detect.LARGEST_HIDDEN_CHANGE},
-        )
-        for n in names
-        if n not in surveys
-    ]
+    names = read_constants(reference).names
+    each = {name: _survey_constant(name, estimates, comparisons=len(names)) for name in names}
+    surveys = {name: survey for name, survey in each.items() if survey is not None}
+    not_seen = {"share": None, "limit": detect.LARGEST_HIDDEN_CHANGE}
+    findings += [Finding(ChangeCode.CONSTANT_NOT_SEEN, Severity.NOTE, n, not_seen) for n in names if n not in surveys]
     reports = [_report(machine, surveys, estimates) for machine in machines]
     outside = [report for report in reports if report.outlying]
     verdict = ChangeVerdict.CHANGED if outside else ChangeVerdict.UNCHANGED if surveys else ChangeVerdict.CANNOT_TELL
@@ -195,13 +180,8 @@ def _survey_constant(name: str, estimates: Mapping[str, FittedConstants], compar
     # 95 % of the mean, by as many machines as told it.
     reach = float(stdtrit(max(len(inside) - 1, 1), 0.975)) * math.sqrt(common.variance)
     back = math.exp if positive else float
-    constant = PopulationConstant(
-        back(common.mean),
-        (back(common.mean - reach), back(common.mean + reach)),
-        unit,
-        math.sqrt(common.spread),
-        positive,
-    )
+    interval = (back(common.mean - reach), back(common.mean + reach))
+    constant = PopulationConstant(back(common.mean), interval, unit, math.sqrt(common.spread), positive)
     return _ConstantSurvey(constant, p, tuple(machines[k] for k in outside))
 
 
@@ -259,15 +239,8 @@ def _conclude(
     for report in outside:
         for name in report.outlying:
             common, constant = population[name], report.constants[name]
-            values: dict[str, object] = {
-                "constant": name,
-                "value": constant["value"],
-                "unit": common.unit,
-                "mean": common.mean,
-                "spread": common.spread,
-                "relative": common.relative,
-                "p": constant["p"],
-            }
+            of_kind = {"unit": common.unit, "mean": common.mean, "spread": common.spread, "relative": common.relative}
+            values = {"constant": name, "value": constant["value"], "p": constant["p"], **of_kind}
             findings.append(Finding(ChangeCode.MACHINE_FALLS_OUT, Severity.WARNING, report.name, values))
     spreads = {name: [c.spread, c.unit, c.relative] for name, c in population.items()}
     values = {"machines": len(reports) - len(outside), "outside": len(outside), "spreads": spreads}
@@ -320,7 +293,7 @@ def chart_changes(reference: Fit, records: Sequence[Experiment]) -> ChangeDetect
         )
     labels = ["the fit", *(record.name for record in records)]
     fits = [reference, *(detect.refit(reference, [record]) for record in records)]
-    points = [read_constants(f, read_residual(f, detect.ADEQUATE_RATIO)) if f.success else None for f in fits]
+    points = [read_constants(f) if f.success else None for f in fits]
     assert points[0] is not None
     names = points[0].names
     changes, unseen = [], []
@@ -349,10 +322,8 @@ def chart_changes(reference: Fit, records: Sequence[Experiment]) -> ChangeDetect
         if not f.success
     ]
     charted = [
-        ChartedRecord(
-            label, {n: (e.value, e.interval) for n in names if (e := f.parameters.get(n)) is not None}, f.status
-        )
-        for label, f in zip(labels, fits, strict=True)
+        ChartedRecord(t, {n: (e.value, e.interval) for n in names if (e := f.parameters.get(n))}, f.status)
+        for t, f in zip(labels, fits, strict=True)
     ]
     return ChangeDetection(
         verdict,
