@@ -57,7 +57,7 @@ from greybox.discovery.residual_noise import is_level_known, is_shape_correction
 from greybox.discovery.result import Discovery, RankedCandidate, quote_test_error
 from greybox.discovery.search import LEAST_PROMISE, find_named_winner
 from greybox.discovery.summary import list_law_ranges, summarise, summarise_laws
-from greybox.discovery.surrogate import Surrogate, fit_surrogate
+from greybox.discovery.surrogate import Surrogate, fit_stand_in
 from greybox.discovery.table import RESAMPLES, Draws, FitTable
 from greybox.estimation import Fit
 from greybox.model.parts import read_parts
@@ -255,17 +255,7 @@ def _fit_stand_in(answer: SearchAnswer, test: ValidationSet) -> Surrogate | None
     """A curve in the place of what has no name: not where a probable effect is said, nor where the plain model does as well."""
     if not answer.is_nameless:
         return None
-    problem = answer.problem
-    represent = partial(
-        fit_surrogate,
-        answer.scores.problem,
-        answer.plain,
-        answer.candidate,
-        answer.holdout,
-        answer.validation,
-        answer.base,
-        answer.search.policy,
-    )
+    problem, represent = answer.problem, partial(fit_stand_in, answer)
     surrogate: Surrogate | None = problem.failures.attempt(
         SearchStage.SURROGATE, answer.candidate.effects, represent, None
     )

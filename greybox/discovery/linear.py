@@ -94,7 +94,7 @@ class LinearRun:
         for effect in effects:
             listed = partial(self._list_columns, effect, scales, shapes.get(effect.name))
             columns += failures.attempt(SearchStage.PREPARATION, (*self.candidate.effects, effect.name), listed, [])
-        made: dict[str, list[tuple[float, float, _Column, np.ndarray]]] = {}
+        made: dict[int, list[tuple[float, float, _Column, np.ndarray]]] = {}  # two curves have the same name
         for chunk in self._chunks(columns):
             responses = [
                 record.respond([column.signals[e] for column in chunk]) for e, record in enumerate(self.records)
@@ -106,7 +106,7 @@ class LinearRun:
                 if factor < 0 and not column.takes_any_sign:
                     # The records ask for the sign that it cannot have: at this size it promises nothing.
                     decrease, factor, move = 0.0, 1.0, np.zeros_like(move)
-                made.setdefault(column.effect.name, []).append((decrease, factor, column, move))
+                made.setdefault(id(column.effect), []).append((decrease, factor, column, move))
         promises = []
         for tried in made.values():
             tried.sort(key=lambda one: -one[0])

@@ -7,20 +7,18 @@ found, because a correlated residual makes every likelihood ratio of white noise
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from greybox.data.noise import AutoRegression, BoundDirection, NoiseModel, NoiseSource, fit_autoregression, join_series
-from greybox.discovery.candidates import generate_starting_points
-from greybox.discovery.disturbance_sites import DisturbanceSite, list_disturbance_sites
-from greybox.discovery.effect_signal import EffectSignal, estimate_effect_signals
-from greybox.discovery.execution import RefitJob
-from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
-from greybox.discovery.surrogate_effects import CURVE, LINEAR_DYNAMICS, make_curve_effect, make_power_effect
+from greybox.discovery.problem import FittedCandidate
+from greybox.discovery.surrogate_effects import (
+    CURVE,
+    LINEAR_DYNAMICS,
+    TONE,
+)
 from greybox.model.effect import Effect
-from greybox.model.effects.scales import AMPLITUDE_GRID, Scales
 
 # Sources of a noise level that do not depend on the records that are fitted.
 INDEPENDENT_SOURCES = (NoiseSource.GIVEN, NoiseSource.QUIET_RECORD)
@@ -100,98 +98,17 @@ def _normalised_residuals(candidate: FittedCandidate) -> list[tuple[int, np.ndar
     return series
 
 
-# Is what an effect leaves another effect, or its own shape that the catalogue does not quite have?
-#
-# A creep with three branches leaves something to a creep with one, and friction that depends on speed something to dry friction: a
-# selection that only adds effects then gives two or three wrong names. So before a further effect is accepted it has to beat a
-# correction of those that are there: a second branch of the same kind, or a smooth curve at the same site over the same variable.
+# What has no name.
 
 # Appended to the name of an effect for a second branch of it.
 SECOND_BRANCH = "_second_branch"
 
 
 def is_shape_correction(name: str) -> bool:
-    """Whether an effect of this name has none of its own: it corrects the shape of another one, or is linear dynamics of no name."""
-    return name == CURVE or name.endswith(SECOND_BRANCH) or name.startswith(LINEAR_DYNAMICS)
-
-
-def list_shape_corrections(
-    problem: DiscoveryProblem, candidate: FittedCandidate, scales: Scales
-) -> list[tuple[str, RefitJob]]:
-    """Every correction of the shape of one effect: the effect's name, and the refit."""
-    return [*_second_branches(candidate, scales), *_curves(problem, candidate)]
-
-
-# Iterations of the refit with such a correction.
-CORRECTION_ITERATIONS = 20
-
-
-def _second_branches(candidate: FittedCandidate, scales: Scales) -> Iterator[tuple[str, RefitJob]]:
-    """A second branch of every effect that has memory and a shape: a spectrum of times in the place of one."""
-    for effect in candidate.model.effects:
-        if effect.states and effect.balances and effect.terms and effect.grid:
-            # As it came from the catalogue: a fitted one would start on top of the first.
-            branch = replace(effect, name=f"{effect.name}{SECOND_BRANCH}", parents=())
-            model = candidate.model + branch
-            starts = generate_starting_points(model, branch, candidate, candidate.model, scales, AMPLITUDE_GRID)
-            yield effect.name, RefitJob(model, tuple(starts), 1, CORRECTION_ITERATIONS)
+    """Whether an effect of this name has none of its own: a curve, a tone, a second branch of another one, linear dynamics."""
+    return name in (CURVE, TONE) or name.endswith(SECOND_BRANCH) or name.startswith(LINEAR_DYNAMICS)
 
 
 def has_memory(effect: Effect) -> bool:
     """Whether an effect is no function of what is there at the moment: it has states, delays a signal or moves it between samples."""
     return bool(effect.states or effect.delay or effect.is_of_record)
-
-
-def prepare_curve(rest: FittedCandidate, signal: EffectSignal) -> RefitJob:
-    """The refit of ``rest`` with a curve that stands for the whole ``signal`` of an effect that it does not have."""
-    return _prepare_curve(rest, signal, signal.value)
-
-
-# Iterations of the refit.
-SURROGATE_REFIT_ITERATIONS = 30
-
-
-def prepare_power(selected: FittedCandidate, rest: FittedCandidate, signal: EffectSignal) -> RefitJob:
-    """The refit of ``rest`` with a power of the variable of ``signal`` that stands for the whole signal of an effect of ``selected``."""
-    power, values = make_power_effect(_site_of(rest, signal), signal.dependence, signal.variable, signal.value)
-    model = rest.model + power
-    names = model.names_of(CURVE)
-    begin = {names[n]: v for n, v in values.items()}
-    kept = {n: v for n, v in selected.model.values.items() if n in rest.model.values}
-    starts = ({**rest.model.values, **begin}, {**rest.model.values, **kept, **begin})
-    return RefitJob(model, starts, 2, SURROGATE_REFIT_ITERATIONS)
-
-
-def _curves(problem: DiscoveryProblem, candidate: FittedCandidate) -> Iterator[tuple[str, RefitJob]]:
-    """A curve at the site of every effect, over the variable that its signal depends on most."""
-    for signal in estimate_effect_signals(problem, candidate):
-        corrected: Effect | None = next((e for e in candidate.model.effects if e.name == signal.effect), None)
-        if corrected is not None and not (
-            corrected.states or corrected.is_of_record
-        ):  # these are no function of a variable
-            yield corrected.name, _prepare_curve(candidate, signal, signal.value - signal.modelled)
-
-
-# Intervals of the curve that corrects the shape of an effect.
-CORRECTION_HEIGHTS = 10
-
-
-def _prepare_curve(candidate: FittedCandidate, signal: EffectSignal, values: np.ndarray) -> RefitJob:
-    """``candidate`` with a curve at the site of ``signal`` over its variable, which begins as the regression of ``values`` (K,)."""
-    curve, heights = make_curve_effect(
-        _site_of(candidate, signal),
-        signal.dependence,
-        signal.variable,
-        values,
-        signal.std,
-        CORRECTION_HEIGHTS,
-    )
-    model = candidate.model + curve
-    names = model.names_of(CURVE)
-    starts = ({**candidate.model.values, **{names[n]: v for n, v in heights.items()}}, candidate.model.values)
-    return RefitJob(model, starts, 1, CORRECTION_ITERATIONS)
-
-
-def _site_of(candidate: FittedCandidate, signal: EffectSignal) -> DisturbanceSite:
-    sites = list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])
-    return next(s for s in sites if s.label == signal.site)

@@ -30,6 +30,7 @@ from greybox.discovery.problem import (
     share_values,
 )
 from greybox.discovery.residual_noise import excess_autocorrelation, is_level_known, is_shape_correction
+from greybox.discovery.surrogate_effects import CurvePlace
 from greybox.discovery.table import Draws, FitTable, SetKey, draw_sets, key_of
 from greybox.model import Effect
 from greybox.model.effects.catalogue import AT
@@ -130,6 +131,8 @@ class EffectSearch:
         Whether the search goes on where only noise is left.
     left_out
         Effects on the table that are none of its candidates: a set with one of them is not read.
+    places
+        Of each set with a curve or a tone where that stands, and the signal that it was proposed for.
     """
 
     problem: DiscoveryProblem
@@ -142,6 +145,7 @@ class EffectSearch:
     left_out: frozenset[str] = frozenset()
     baseline: FittedCandidate = field(init=False)
     steps: list[SelectionStep] = field(init=False, default_factory=list)
+    places: dict[SetKey, CurvePlace] = field(init=False, default_factory=dict)
     _screened: set[tuple[SetKey, str]] = field(init=False, default_factory=set)
     _related: set[tuple[SetKey, str, str]] = field(init=False, default_factory=set)
     _shapes: dict[str, Sequence[Mapping[str, float]]] = field(init=False, default_factory=dict)
@@ -231,7 +235,7 @@ class EffectSearch:
         planned += [
             self._plan_whole(base, e) for base in bases if not base.effects for e in self.candidates if not e.parameters
         ]
-        self._add_each(planned)
+        self.add_refits(planned)
 
     def _screen(self, base: FittedCandidate) -> list[tuple[FittedCandidate, EffectPromise, float]]:
         """What each further effect promises beside a set, and the sum of squares that it would leave."""
@@ -246,15 +250,21 @@ class EffectSearch:
             self.problem.executor.skipped += len(left)
             return []
         self._screened |= {(key_of(base), e.name) for e in left}
-        slopes = self.table.slopes(base)
-        if slopes is None:
-            return []
-        look = partial(LinearRun(slopes).screen, left, self.scales, self.problem.failures, self._shapes)
-        promises: list[EffectPromise] = self.problem.failures.attempt(SearchStage.SCREENING, base.effects, look, [])
+        cost, promises = self.promise(base, left, self._shapes)
         if not base.effects:
             self._shapes = {p.effect.name: p.shapes[:KEPT_SHAPES] for p in promises}
-        cost = sum(float((r**2).sum()) for r in slopes.residuals[: slopes.fitted])
         return [(base, promise, cost - promise.decrease) for promise in promises]
+
+    def promise(
+        self, base: FittedCandidate, effects: Sequence[Effect], shapes: Mapping[str, Sequence[Mapping[str, float]]] = {}
+    ) -> tuple[float, list[EffectPromise]]:
+        """The sum of squares that a set leaves, and what each of ``effects`` promises beside it, best first."""
+        slopes = self.table.slopes(base)
+        if slopes is None:
+            return 0.0, []
+        look = partial(LinearRun(slopes).screen, effects, self.scales, self.problem.failures, shapes)
+        promises: list[EffectPromise] = self.problem.failures.attempt(SearchStage.SCREENING, base.effects, look, [])
+        return sum(float((r**2).sum()) for r in slopes.residuals[: slopes.fitted]), promises
 
     def _choose(
         self, promises: Sequence[tuple[FittedCandidate, EffectPromise, float]]
@@ -333,7 +343,7 @@ class EffectSearch:
 
     # Refits
 
-    def _add_each(self, planned: Iterable[tuple[FittedCandidate, RefitJob] | None]) -> None:
+    def add_refits(self, planned: Iterable[tuple[FittedCandidate, RefitJob] | None]) -> None:
         """Looks, carried on where they fall or may come near the best, put on the table."""
         jobs = [one for one in planned if one is not None]
         looks = self.problem.refit_all([job for _, job in jobs])
@@ -380,7 +390,7 @@ class EffectSearch:
                 planned.append(
                     self.problem.failures.attempt(SearchStage.PREPARATION, (*fit.effects, relative.name), plan, None)
                 )
-        self._add_each(one for one in planned if one is not None)
+        self.add_refits(one for one in planned if one is not None)
 
     def _plan_relative(
         self, fit: FittedCandidate, effect: Effect, relative: Effect
@@ -420,6 +430,10 @@ class EffectSearch:
         self._drop_parts(chosen)
         rests = [self.table.get(set(chosen.effects) - {name}) for name in chosen.effects]
         self._add_promising([rest for rest in rests if rest is not None])
+
+    def add_beside(self, promises: Iterable[tuple[FittedCandidate, EffectPromise]]) -> None:
+        """Sets with an effect more, each refitted from where the screen has it and on the table."""
+        self.add_refits([self._plan(one) for one in promises])
 
     def add_usual(self) -> None:
         """The same search among the effects that such rigs usually have alone: a set that nobody fitted cannot come first."""

@@ -16,12 +16,13 @@ The linear path goes from the inputs to a reading, past the plant: ``y + d u + z
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
 from greybox.base.linear_algebra import decompose_columns
-from greybox.discovery.curve_shape import TIME, Dependence, find_levels
+from greybox.discovery.curve_shape import FEWEST_LEVELS, TIME, Dependence, find_levels
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
 from greybox.discovery.localisation import ResidualSignal
 from greybox.model import Balance, Effect
@@ -34,6 +35,20 @@ LEVEL = "level"
 # The state of a curve over time: seconds since the record began.
 CLOCK = "clock"
 SOURCE = "fitted to the residual of the model; no physical law"
+
+
+@dataclass(frozen=True)
+class CurvePlace:
+    """A site at which a curve or a tone may stand, the variable that it is over, and the signal that the residual asks for there."""
+
+    site: DisturbanceSite
+    dependence: Dependence
+    signal: ResidualSignal
+
+    @property
+    def shows_curve(self) -> bool:
+        """Whether enough levels of the variable were seen for more than a straight line."""
+        return len(find_levels(self.signal.variables[self.dependence.variable])) >= FEWEST_LEVELS
 
 
 # Share of the range by which the curve extends beyond what was seen.
@@ -49,11 +64,11 @@ def make_curve_effect(
     w: np.ndarray,
     std: np.ndarray,
     intervals: int,
-) -> tuple[Effect, dict[str, float]]:
-    """A smooth curve over the variable of ``dependence`` as an effect at ``site``, and start values of its heights.
+) -> Effect:
+    """A smooth curve over the variable of ``dependence`` as an effect at ``site``.
 
-    It has ``intervals`` + 1 heights, or as many as levels were seen where these are fewer. They start as a regression of the signal ``w``
-    (K,), known to ``std`` (K,), on the variable ``z`` (K,) has them.
+    It has ``intervals`` + 1 heights, or as many as levels were seen where these are fewer. They begin (its ``probe``) as a regression of
+    the signal ``w`` (K,), known to ``std`` (K,), on the variable ``z`` (K,) has them.
     """
     levels, size = find_levels(z), float(np.sqrt(np.mean(w**2)))
     variable, unit, prior = dependence.variable, dependence.unit, HEIGHT_PRIOR * size
@@ -91,8 +106,8 @@ def make_curve_effect(
     prior_rows = np.eye(len(heights)) / prior
     regression = decompose_columns(np.vstack([basis * weight[:, None], prior_rows]))
     c = regression.solve(np.append(w * weight, np.zeros(len(heights))))
-    effect = _curve_effect(site, dependence, curve, parameters, heights, f"smooth curve over {variable}")
-    return effect, dict(zip(heights, map(float, c), strict=True))
+    begin = dict(zip(heights, map(float, c), strict=True))
+    return _curve_effect(site, dependence, curve, parameters, begin, f"smooth curve over {variable}")
 
 
 # Exponents from which a power is fitted; it stays between the first and the last. The straight line is the model's own.
@@ -101,13 +116,11 @@ SURROGATE_POWERS: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 1.5, 2.0, 3.0)
 STRAIGHT_SHARE = 0.01
 
 
-def make_power_effect(
-    site: DisturbanceSite, dependence: Dependence, z: np.ndarray, w: np.ndarray
-) -> tuple[Effect, dict[str, float]]:
-    """A power of the variable of ``dependence``, with its sign, as an effect at ``site``, and its start values.
+def make_power_effect(site: DisturbanceSite, dependence: Dependence, z: np.ndarray, w: np.ndarray) -> Effect:
+    """A power of the variable of ``dependence``, with its sign, as an effect at ``site``.
 
-    These are those of the regression of the signal ``w`` (K,) on the variable ``z`` (K,) that leaves least. Close to zero the power is
-    straight: the slope of a root is infinite there.
+    It begins (its ``probe``) as the regression of the signal ``w`` (K,) on the variable ``z`` (K,) that leaves least. Close to zero the
+    power is straight: the slope of a root is infinite there.
     """
     size = float(np.sqrt(np.mean(z**2)))
     low, high = min(SURROGATE_POWERS), max(SURROGATE_POWERS)
@@ -126,8 +139,9 @@ def make_power_effect(
         return float(np.sum((w - basis @ coefficients) ** 2)), float(coefficients[0])
 
     best = min(SURROGATE_POWERS, key=lambda power: regress(power)[0])
-    effect = _curve_effect(site, dependence, curve, parameters, ["height"], f"power of {dependence.variable}")
-    return effect, {"height": regress(best)[1], "power": best}
+    parameters[-1] = replace(parameters[-1], value=best)
+    begin = {"height": regress(best)[1]}
+    return _curve_effect(site, dependence, curve, parameters, begin, f"power of {dependence.variable}")
 
 
 def _power(t: Expression, power: Expression, straight: float) -> Expression:
@@ -145,10 +159,10 @@ def make_sinusoid_effect(
     period: float,
     z: np.ndarray,
     w: np.ndarray,
-) -> tuple[Effect, dict[str, float]]:
-    """A sinusoid of ``period`` over the variable of ``dependence`` as an effect at ``site``, and its start values.
+) -> Effect:
+    """A sinusoid of about ``period`` over the variable of ``dependence`` as an effect at ``site``.
 
-    These are those of a regression of the signal ``w`` (K,) on the variable ``z`` (K,).
+    It begins (its ``probe``) as a regression of the signal ``w`` (K,) on the variable ``z`` (K,) has it.
     """
     variable, margin = dependence.variable, PERIOD_MARGIN
     parameters = [
@@ -173,8 +187,8 @@ def make_sinusoid_effect(
     angle = 2 * np.pi * z / period
     basis = np.stack([np.cos(angle), np.sin(angle), np.ones_like(z), z], axis=1)
     cosine, sine, *_ = decompose_columns(basis).solve(w)
-    effect = _curve_effect(site, dependence, curve, parameters, ["cosine", "sine"], f"sinusoid over {variable}")
-    return effect, {"pitch": period, "cosine": float(cosine), "sine": float(sine)}
+    begin = {"cosine": float(cosine), "sine": float(sine)}
+    return _curve_effect(site, dependence, curve, parameters, begin, f"sinusoid over {variable}")
 
 
 def _curve_effect(
@@ -182,10 +196,10 @@ def _curve_effect(
     dependence: Dependence,
     curve: Callable[[Expression, NamedValues], Expression],
     parameters: Sequence[Parameter],
-    amplitudes: Sequence[str],
+    begin: Mapping[str, float],
     equation: str,
 ) -> Effect:
-    """``curve`` of the variable and the parameters, added at ``site``."""
+    """``curve`` of the variable and the parameters, added at ``site``; it is a multiple of those that ``begin`` at a value."""
     is_over_time = dependence.variable == TIME
     variable = CLOCK if is_over_time else dependence.variable
 
@@ -209,9 +223,16 @@ def _curve_effect(
         on_output=with_term if site.kind == SiteKind.SENSOR else None,
         equation=equation,
         parity=dependence.shape.parity.value,
-        amplitudes=amplitudes,
+        amplitudes=list(begin),
+        probe=lambda scales: begin,
         source=SOURCE,
     )
+
+
+def begin_of(effect: Effect) -> Mapping[str, float]:
+    """Where the amplitudes of a curve, a power or a sinusoid begin."""
+    begin: Mapping[str, float] = effect.probe(None) if effect.probe else {}
+    return begin
 
 
 def make_linear_path(output: Output, inputs: Sequence[Input]) -> Effect:

@@ -9,12 +9,12 @@ import greybox as gb
 from greybox.base.figure import Curve
 from greybox.discovery.curve_shape import find_levels, find_period_of_curve
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
-from greybox.discovery.localisation import localise_residual
 from greybox.discovery.problem import DiscoveryProblem
-from greybox.discovery.surrogate import SURROGATE_INTERVALS, fit_curve_surrogate
-from greybox.discovery.surrogate_effects import evaluate_curve, make_curve_effect
+from greybox.discovery.proposers import CURVE_INTERVALS
+from greybox.discovery.surrogate_effects import begin_of, evaluate_curve, make_curve_effect
 from greybox.show.figures.discovery import plot_surrogate
 from tests.support.first_order import first_order
+from tests.support.stand_in import find_stand_in
 
 LEVELS = np.array([-1.0, -0.2, 0.4, 1.0])
 
@@ -41,12 +41,13 @@ def test_a_few_levels_show_no_period():
     assert sinusoid == with_line == 0.0
 
 
-@pytest.mark.parametrize(("levels", "heights"), [(3, 3), (SURROGATE_INTERVALS, SURROGATE_INTERVALS), (60, 21)])
+@pytest.mark.parametrize(("levels", "heights"), [(3, 3), (CURVE_INTERVALS, CURVE_INTERVALS), (60, 21)])
 def test_a_curve_has_no_more_heights_than_levels_were_seen(levels, heights):
     z = np.tile(np.linspace(-1, 1, levels), 20)
     site = DisturbanceSite("u", SiteKind.INPUT, "V", 0)
     dependence = SimpleNamespace(variable="u", unit="V", shape=SimpleNamespace(parity=SimpleNamespace(value="neither")))
-    effect, start = make_curve_effect(site, dependence, z, np.tanh(3 * z), np.full(len(z), 1e-3), SURROGATE_INTERVALS)
+    effect = make_curve_effect(site, dependence, z, np.tanh(3 * z), np.full(len(z), 1e-3), CURVE_INTERVALS)
+    start = begin_of(effect)
     assert len(start) == heights
     assert sum(not q.fixed for q in effect.parameters) == heights  # each is a constant that is paid for
     values = {q.name: q.value for q in effect.parameters} | start
@@ -70,10 +71,7 @@ def stepped_record(name, seed, levels):
 def surrogate_over(levels):
     train, test = stepped_record("train", 1, levels), stepped_record("test", 2, levels)
     model, noise = first_order().start(gain=1.5, lag=0.7), {"y": 0.01}
-    base = gb.fit(model, train, validation=test, noise=noise)
-    problem = DiscoveryProblem(model, (train,), noise, (), gb.FitOptions())
-    location = localise_residual(problem.baseline)
-    return fit_curve_surrogate(problem, problem.baseline, location, (test,), base)
+    return find_stand_in(DiscoveryProblem(model, (train,), noise, (), gb.FitOptions()), test)
 
 
 @pytest.mark.rest
@@ -84,8 +82,8 @@ def test_the_curve_of_an_input_of_four_levels_is_known_at_these():
     names = surrogate.fit.model.names_of("fitted_curve").values()
     assert sum(not surrogate.fit.model.parameter(n).fixed for n in names) == 4
     # What is constant or proportional is shared with the gain, which no data decide; the rest is that of the true drive.
-    assert surrogate.site == "balance lag"
-    rest = drive(LEVELS) - surrogate.curve
+    assert surrogate.site == "input u"
+    rest = drive(LEVELS) - surrogate.fit.parameters["gain"].value * surrogate.curve
     assert rest == pytest.approx(np.polyval(np.polyfit(LEVELS, rest, 1), LEVELS), abs=0.02)
     assert "a curve of 4 levels over u (too few values to tell its shape)" in str(surrogate)
     (panel,) = plot_surrogate(surrogate).panels

@@ -14,11 +14,12 @@ from greybox.discovery.localisation import localise_residual
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.proposals import propose_next_steps, propose_noise_check
-from greybox.discovery.surrogate import find_missing_sites, fit_curve_surrogate
-from greybox.discovery.surrogate_effects import make_power_effect
+from greybox.discovery.surrogate import find_missing_sites
+from greybox.discovery.surrogate_effects import begin_of, make_power_effect
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
+from tests.support.stand_in import find_stand_in
 
 POLICY = DiscoveryPolicy()
 COGGING = {"cogging": {"F": -4.0, "pitch": 0.01}}
@@ -30,8 +31,7 @@ def fit_surrogate(rig, effects, noise, rows):
     base = gb.fit(plain_model(rig), train, validation=test, noise=noise, options=AT_REST)
     problem = DiscoveryProblem(plain_model(rig), (train,), noise, (), AT_REST)
     location = localise_residual(problem.baseline)
-    surrogate = fit_curve_surrogate(problem, problem.baseline, location, (test,), base)
-    return base, location, surrogate, test
+    return base, location, find_stand_in(problem, test), test
 
 
 @pytest.mark.rest
@@ -113,9 +113,9 @@ def test_a_power_starts_as_the_signal_shows_it(power):
     signal = -4.0 * np.sign(v) * np.abs(v) ** power + 7.0 * v  # the model has the straight part
     dependence = SimpleNamespace(variable="v", unit="m/s", shape=SimpleNamespace(parity=Parity.ODD))
     site = next(s for s in list_disturbance_sites(micro_actuator, ["x"]) if s.name == "force")
-    effect, start = make_power_effect(site, dependence, v, signal)
-    size = effect.parameters[0].value
-    assert start["power"] == power
+    effect = make_power_effect(site, dependence, v, signal)
+    start, size = begin_of(effect), effect.parameters[0].value
+    assert effect.parameters[-1].value == power
     assert start["height"] == pytest.approx(-4.0 * size**power, rel=0.02)
     named = {q.name: q.value for q in effect.parameters} | start
     added = effect.terms({"v": 0.05}, None, SimpleNamespace(**named))

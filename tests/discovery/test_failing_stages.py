@@ -62,7 +62,7 @@ def test_a_stage_that_fails_does_not_end_the_search(rig, monkeypatch, place, sta
 
 
 def test_what_comes_after_an_unknown_effect_may_fail_as_well(rig, monkeypatch):
-    monkeypatch.setattr("greybox.discovery.conclusion.fit_surrogate", fail)
+    monkeypatch.setattr("greybox.discovery.conclusion.fit_stand_in", fail)
     found = answer(rig, ["input_offset"])
     assert found.verdict == "unknown"
     assert SearchStage.SURROGATE in {failure.stage for failure in found.failures}

@@ -28,7 +28,7 @@ def record(seed: int, pressed: float, **conditions: float) -> gb.Experiment:
 def test_a_friction_that_grows_with_the_load_is_found_to_and_the_rest_is_the_same_in_all_records(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("greybox.discovery.conclusion.fit_surrogate", lambda *_: None)  # it has no part in the trends
+    monkeypatch.setattr("greybox.discovery.conclusion.fit_stand_in", lambda *_: None)  # it has no part in the trends
     learn = [record(k, load, load=load) for k, load in enumerate((2.0, 8.0))]
     found = gb.discover(
         STAGE,

@@ -9,10 +9,8 @@ import greybox as gb
 from greybox.base.errors import DataError
 from greybox.discovery.decision import Verdict
 from greybox.discovery.findings import DiscoveryCode
-from greybox.discovery.localisation import localise_residual, to_candidate_fit
 from greybox.discovery.pipeline import discover
 from greybox.discovery.problem import DiscoveryProblem
-from greybox.discovery.surrogate import fit_tone_surrogate
 from greybox.estimation.options import FitOptions
 from greybox.estimation.validate import validate
 from greybox.extensions.export.python_model import to_python
@@ -21,6 +19,7 @@ from greybox.show.describe import report, text
 from greybox.show.figures.pictures import draw_discovery
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
+from tests.support.stand_in import find_stand_in
 
 NOISE = {"x": 2e-7, "i": 5e-3}
 FORCE, FREQUENCY = 0.05, 50.0
@@ -90,19 +89,15 @@ def test_the_model_with_the_tone_is_fitted_to_records_at_rest_from_its_file(foun
 
 @pytest.mark.rest
 def test_a_tone_is_found_at_rest_too_and_not_where_there_is_none(rig):
-    def fit_surrogate(fit):
-        problem, candidate = DiscoveryProblem.from_fit(fit), to_candidate_fit(fit)
-        return fit_tone_surrogate(problem, candidate, localise_residual(fit), (rig[1],), fit)
-
     # At rest the way the tone sets in shows its site.
     model = plain_model(micro_actuator)
-    hum = fit_surrogate(gb.fit(model, rig[0], validation=rig[1], noise=NOISE, options=AT_REST))
+    hum = find_stand_in(DiscoveryProblem(model, (rig[0],), NOISE, (), AT_REST), rig[1])
     assert (hum.site, hum.tone.alike) == ("balance force", ())
     assert hum.tone.frequency == pytest.approx(FREQUENCY, abs=0.02)
     rubbing, test = simulate_records(
         micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, tuple(NOISE.values()), rows=400
     )
-    assert fit_surrogate(gb.fit(model, rubbing, validation=test, noise=NOISE, options=AT_REST)) is None
+    assert find_stand_in(DiscoveryProblem(model, (rubbing,), NOISE, (), AT_REST), test).tone is None
 
 
 @pytest.mark.rest
