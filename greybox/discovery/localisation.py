@@ -269,8 +269,8 @@ class ResidualLocalisation(Printable, ReadOnly):
         Their labels in sets that the sensors cannot separate.
     windows
         When the misfit happens.
-    signal
-        The unexplained signal at the likeliest site.
+    signals
+        The unexplained signal as it would be at each site, in the stretch where the misfit varies most; likeliest first.
     dependences
         The signal as a function of each variable, best first.
     is_noise_bounded
@@ -282,7 +282,7 @@ class ResidualLocalisation(Printable, ReadOnly):
     sites: tuple[RankedSite, ...] = ()
     sets: tuple[tuple[str, ...], ...] = ()
     windows: tuple[MisfitWindow, ...] = ()
-    signal: ResidualSignal | None = None
+    signals: tuple[ResidualSignal, ...] = ()
     dependences: tuple[Dependence, ...] = ()
     is_noise_bounded: bool = False
 
@@ -294,6 +294,11 @@ class ResidualLocalisation(Printable, ReadOnly):
         scale = misfit / weighed if 0 < weighed < np.inf else 1.0
         threshold = scale * clean_cost_limit(candidate.count) ** 0.5
         return cls(misfit, threshold, is_noise_bounded=candidate.is_noise_bounded)
+
+    @property
+    def signal(self) -> ResidualSignal | None:
+        """The unexplained signal at the likeliest site."""
+        return next(iter(self.signals), None)
 
     @property
     def is_missing(self) -> bool:
@@ -358,25 +363,19 @@ def localise_residual(fit: Fit | FittedCandidate) -> ResidualLocalisation:
         RankedSite(site.name, site.kind, smoothed.gain, float(np.sqrt(np.mean(smoothed.value**2))), site.unit)
         for site, smoothed in ranked
     )
-    signal = _to_signal(candidate, line, *ranked[0])
+    signals = tuple(_to_signal(candidate, line, *one) for one in ranked)
+    signal = signals[0]
     variables = {name: (values, signal.units[name]) for name, values in signal.variables.items()}
     run = np.column_stack([line.x, line.u])[ranked[0][1].rows]
     dependences = tuple(rank_dependences(signal.time, signal.value, variables, run))
     return replace(
-        alone, sites=sites, sets=_group_sites(sites), windows=windows, signal=signal, dependences=dependences
+        alone, sites=sites, sets=_group_sites(sites), windows=windows, signals=signals, dependences=dependences
     )
 
 
 def to_candidate_fit(fit: Fit) -> FittedCandidate:
     """A finished fit as a candidate: the same records, noise and options, at its parameters."""
     return DiscoveryProblem.from_fit(fit).to_candidate(fit)
-
-
-def estimate_site_signals(candidate: FittedCandidate) -> dict[str, ResidualSignal]:
-    """The unexplained signal as it would be at each site, in the stretch where the misfit varies most; likeliest first."""
-    line = linearise_run(candidate, *find_worst_stretch(normalised_residuals(candidate), LOCALISATION_MOST_ROWS))
-    ranked = _rank_sites(candidate, line)
-    return {site.label: _to_signal(candidate, line, site, smoothed) for site, smoothed in ranked}
 
 
 # Residual over noise beyond which a run has gone astray: how far it went says nothing, and the square of this is still a number.

@@ -146,8 +146,6 @@ SEARCH_REFIT_ITERATIONS = 60
 # Substeps of a sample that a refit of the search takes at most, unless the plain model needs more: a candidate that does is stiff by its
 # constants alone, and minutes would not make it the answer. The last fit knows no such limit.
 MAX_SUBSTEPS = 16
-# Substeps of a sample where a cost is only predicted, to rank candidates: with those of a refit a stiff model would take minutes to extend.
-PREDICTION_SUBSTEPS = 8
 # How many times as many it takes if it is unstable with so few. One that is so still is out.
 UNSTABLE_FACTOR = 2
 # Most promising starting points from which a model is refitted.
@@ -270,23 +268,15 @@ class DiscoveryProblem:
         """Substeps of a candidate, unless it is unstable with so few: those of the budget, or twice those of the plain model."""
         return max(MAX_SUBSTEPS, 2 * self.prepare(self.model).step.substeps)
 
-    @cached_property
-    def _prediction_substeps(self) -> int:
-        """The same where a cost is only predicted."""
-        return max(PREDICTION_SUBSTEPS, self.prepare(self.model).step.substeps)
-
     def _prepare_starts(
-        self, model: Model, starts: Iterable[StartValues], beginning: Mapping[str, Sequence[float]], most: int = 0
+        self, model: Model, starts: Sequence[StartValues], beginning: Mapping[str, Sequence[float]]
     ) -> tuple[EstimationProblem, list[_Start]]:
-        """The estimation problem of a candidate, and those of its starts from which it can be simulated, most promising first.
-
-        A sample has ``most`` substeps at first (0: as many as a refit of the search).
-        """
-        starts, most = tuple(starts), most or self._most_substeps
+        """The estimation problem of a candidate, and those of its starts from which it can be simulated, most promising first."""
+        most = self._most_substeps
         problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
         points = _rank_starts(problem, starts)
         if not points and problem.step.substeps >= most:
-            most = UNSTABLE_FACTOR * self._most_substeps
+            most *= UNSTABLE_FACTOR
             problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
             points = _rank_starts(problem, starts)
         return problem, points
@@ -447,20 +437,6 @@ class DiscoveryProblem:
         return DiscoveryProblem(
             self.model, self.experiments, self.noise_model, (), self.refit_options, given=self.given
         )
-
-    def predict_cost(self, model: Model, starts: Iterable[StartValues], like: FittedCandidate | None = None) -> float:
-        """The lowest cost that one Gauss-Newton step predicts from any of ``starts``; ``like`` as in `refit_best`.
-
-        Infinite for a model that cannot be simulated, and once the time of the search is over.
-        """
-        if self.executor.is_late:
-            return np.inf
-
-        def predict() -> float:
-            _, points = self._prepare_starts(model, starts, _initial_states(like), self._prediction_substeps)
-            return points[0][0] if points else np.inf
-
-        return self.failures.attempt(SearchStage.SCREENING, tuple(e.name for e in model.effects), predict, np.inf)
 
     def job_key(self, job: RefitJob) -> str:
         """The hash by which a refit is known: equal if model, starts, records, noise, options and versions are."""

@@ -21,7 +21,6 @@ from greybox.discovery.linear import EffectPromise
 from greybox.discovery.localisation import (
     ResidualLocalisation,
     ResidualSignal,
-    estimate_site_signals,
     localise_residual,
 )
 from greybox.discovery.problem import FittedCandidate
@@ -128,7 +127,7 @@ def add_curves_in_place(search: EffectSearch, answer: FittedCandidate, name: str
 # Sites that the sensors cannot separate at which a free curve is tried, and variables that it is tried over at each.
 FREE_SITES, FREE_VARIABLES = 3, 2
 # Curves over a variable that are refitted beside a set, those that promise most first.
-MOST_CURVES = 4
+MOST_CURVES = 3
 # Intervals of a curve.
 CURVE_INTERVALS = 20
 # Periods from which a sinusoid is screened, over the one that the signal shows.
@@ -148,9 +147,7 @@ def add_free_forms(search: EffectSearch, base: FittedCandidate) -> None:
     sites = list_disturbance_sites(base.model, [o.name for o in base.model.outputs])
     begins = {e.name: float(e.time[0]) for e in base.problem.experiments}
     passed = {TIME: location.signal.time - begins[location.signal.record]}
-    signals = {
-        label: replace(s, variables={**s.variables, **passed}) for label, s in estimate_site_signals(base).items()
-    }
+    signals = {s.site: replace(s, variables={**s.variables, **passed}) for s in location.signals}
     places = [
         CurvePlace(site, d, signals[site.label]) for site, d in _list_curves(base.model, sites, location, signals)
     ]

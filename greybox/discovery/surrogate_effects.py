@@ -229,12 +229,6 @@ def _curve_effect(
     )
 
 
-def begin_of(effect: Effect) -> Mapping[str, float]:
-    """Where the amplitudes of a curve, a power or a sinusoid begin."""
-    begin: Mapping[str, float] = effect.probe(None) if effect.probe else {}
-    return begin
-
-
 def make_linear_path(output: Output, inputs: Sequence[Input]) -> Effect:
     """Linear dynamics of the first order from all ``inputs`` to the reading of one output, beside the plant."""
     # z' = -a z + b u, y + d u + z in the place of y: with a plant of the first order any linear one of the second.

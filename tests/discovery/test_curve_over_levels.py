@@ -11,7 +11,7 @@ from greybox.discovery.curve_shape import find_levels, find_period_of_curve
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.proposers import CURVE_INTERVALS
-from greybox.discovery.surrogate_effects import begin_of, evaluate_curve, make_curve_effect
+from greybox.discovery.surrogate_effects import evaluate_curve, make_curve_effect
 from greybox.show.figures.discovery import plot_surrogate
 from tests.support.first_order import first_order
 from tests.support.stand_in import find_stand_in
@@ -47,7 +47,7 @@ def test_a_curve_has_no_more_heights_than_levels_were_seen(levels, heights):
     site = DisturbanceSite("u", SiteKind.INPUT, "V", 0)
     dependence = SimpleNamespace(variable="u", unit="V", shape=SimpleNamespace(parity=SimpleNamespace(value="neither")))
     effect = make_curve_effect(site, dependence, z, np.tanh(3 * z), np.full(len(z), 1e-3), CURVE_INTERVALS)
-    start = begin_of(effect)
+    start = effect.probe(None)
     assert len(start) == heights
     assert sum(not q.fixed for q in effect.parameters) == heights  # each is a constant that is paid for
     values = {q.name: q.value for q in effect.parameters} | start

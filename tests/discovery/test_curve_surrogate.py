@@ -15,7 +15,7 @@ from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.proposals import propose_next_steps, propose_noise_check
 from greybox.discovery.surrogate import find_missing_sites
-from greybox.discovery.surrogate_effects import begin_of, make_power_effect
+from greybox.discovery.surrogate_effects import make_power_effect
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
@@ -114,7 +114,7 @@ def test_a_power_starts_as_the_signal_shows_it(power):
     dependence = SimpleNamespace(variable="v", unit="m/s", shape=SimpleNamespace(parity=Parity.ODD))
     site = next(s for s in list_disturbance_sites(micro_actuator, ["x"]) if s.name == "force")
     effect = make_power_effect(site, dependence, v, signal)
-    start, size = begin_of(effect), effect.parameters[0].value
+    start, size = effect.probe(None), effect.parameters[0].value
     assert effect.parameters[-1].value == power
     assert start["height"] == pytest.approx(-4.0 * size**power, rel=0.02)
     named = {q.name: q.value for q in effect.parameters} | start

@@ -150,7 +150,7 @@ def test_the_unexplained_signal_is_drawn_at_the_site_that_the_text_names() -> No
         "balance torque", "N*m", "run", time, np.sin(time), np.ones(50), {"w": time}, {"w": "rad/s"}
     )
     sites = (RankedSite("torque", SiteKind.BALANCE, 100.0, 1.0, "N*m"), RankedSite("i", SiteKind.INPUT, 10.0, 1.0, "A"))
-    localisation = ResidualLocalisation(5.0, 1.1, sites, (("balance torque",), ("input i",)), (), signal)
+    localisation = ResidualLocalisation(5.0, 1.1, sites, (("balance torque",), ("input i",)), (), (signal,))
     figure = plot_unexplained_signal(localisation)
     assert "the torque balance" in str(localisation)
     assert figure.panels[0].y.name == "unexplained at the balance torque"
