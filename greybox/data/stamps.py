@@ -56,6 +56,15 @@ class Start(NamedTuple):
         return when[11:] if self.kind is StampKind.CLOCK else f"{when} UTC" if self.zoned else when
 
 
+# A recorder whose clock nobody has set states the beginning of its own count: 1904, 1970 or 1980.
+FIRST_YEAR = np.datetime64("1990-01-01", "ns").astype(np.int64)
+
+
+def start_at(nanoseconds: int, *, zoned: bool = True) -> Start | None:
+    """The start of a recording, so many nanoseconds after 1970; None of a clock that was never set."""
+    return Start(StampKind.DATE, zoned, nanoseconds) if nanoseconds >= FIRST_YEAR else None
+
+
 class Timeline(NamedTuple):
     """Seconds (N,) from ``start``, NaN where there is no stamp, and what was made of the stamps."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import json
 from itertools import pairwise
 from zoneinfo import ZoneInfo
 
@@ -255,6 +256,56 @@ def test_dated_files_of_one_call_have_one_origin(tmp_path):
     a, c = read_experiments([first, zoned], LAG)
     assert (a.time[0], c.time[0]) == (0.0, 0.0)
     assert RecordCode.ORIGINS_APART in codes(c) and RecordCode.ORIGINS_APART not in codes(a)
+
+
+def write_recording(path, begins):
+    """A recording of a measuring system that ``begins`` at a moment by the world's clock, or has a clock that was never set."""
+    seconds = np.asarray(STEPS, dtype=float)
+    if path.suffix == ".tdms":
+        nptdms = pytest.importorskip("nptdms")
+        start = np.datetime64(begins.replace(tzinfo=None), "us") if begins else np.datetime64("1904-01-01", "us")
+        facts = {"wf_increment": float(seconds[1] - seconds[0]), "wf_start_time": start}
+        with nptdms.TdmsWriter(path) as file:
+            file.write_segment([nptdms.ChannelObject("rig", n, v, facts) for n, v in (("u", DRIVE), ("x", ANSWER))])
+    elif path.suffix == ".mf4":
+        asammdf = pytest.importorskip("asammdf")
+        with asammdf.MDF(version="4.10") as file:
+            file.start_time = begins or dt.datetime.fromtimestamp(0, dt.timezone.utc)
+            file.append([asammdf.Signal(v, seconds, name=n) for n, v in (("u", DRIVE), ("x", ANSWER))])
+            file.save(path, overwrite=True)
+    else:
+        writer = pytest.importorskip("mcap.writer")
+        first = round(begins.timestamp()) * 10**9 if begins else 0
+        with open(path, "wb") as stream:
+            file = writer.Writer(stream)
+            file.start()
+            schema = file.register_schema("sample", "jsonschema", b'{"type": "object"}')
+            topic = file.register_channel("rig", "json", schema)
+            for t, u, x in zip(seconds, DRIVE, ANSWER, strict=True):
+                stamp = first + round(1e9 * t)
+                file.add_message(topic, stamp, json.dumps({"u": float(u), "x": float(x)}).encode(), stamp)
+            file.finish()
+    return path
+
+
+@pytest.mark.parametrize("kind", [".tdms", ".mf4", ".mcap"])
+def test_recordings_of_one_call_have_one_origin(tmp_path, kind):
+    columns = {"u": "rig.u", "x": "rig.x"} if kind == ".mcap" else None
+    noon = dt.datetime(2026, 3, 29, 12, 0, tzinfo=dt.timezone.utc)
+    paths = [
+        write_recording(tmp_path / f"{k}{kind}", noon + dt.timedelta(seconds=after)) for k, after in enumerate((25, 0))
+    ]
+    late, early = read_experiments(paths, LAG, columns=columns)
+    np.testing.assert_allclose(early.time, STEPS, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(late.time, np.asarray(STEPS) + 25, rtol=0, atol=1e-6)
+    # A table with the zone written out counts from the same.
+    zoned = write_table(tmp_path / "c.csv", ((noon + dt.timedelta(seconds=40 + s)).isoformat() for s in STEPS))
+    table, early = read_experiments([zoned], LAG) + read_experiments(paths[1:], LAG, columns=columns)
+    assert (table.time[0], early.time[0]) == (0.0, 0.0)
+    unset = write_recording(tmp_path / f"unset{kind}", None)
+    early, unset = read_experiments([paths[1], unset], LAG, columns=columns)
+    assert (early.time[0], unset.time[0]) == (0.0, 0.0)
+    assert RecordCode.ORIGINS_APART in codes(unset)
 
 
 def test_a_part_of_a_record_is_read(tmp_path):

@@ -13,6 +13,7 @@ from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import check_width
 from greybox.data.file_kinds import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.data.stamps import SECOND, Start, start_at
 from greybox.data.time_base import Samples
 
 MASTERS = (2, 3)
@@ -54,12 +55,23 @@ def read_mdf(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTable
                 unit = str(channel.unit or (conversion.unit if conversion is not None else "") or "").strip()
                 channels.append(Channel(channel.name, unit, name, clock, rows, holds, kind in INTEGERS and not scaled))
                 places.append((g, c))
+        began = _find_start(file)
 
     def load(wanted: Sequence[int]) -> Mapping[int, Samples]:
         with open(path, "rb") as stream, _open(stream) as file:
             return {k: _read_samples(file, *places[k]) for k in wanted}
 
-    return ChannelTable.from_channels(channels, load, policy)
+    return ChannelTable.from_channels(channels, load, policy, start=began)
+
+
+def _find_start(file: Any) -> Start | None:
+    """When the measurement began: with its zone, or by the clock on the wall where the file names none."""
+    if not getattr(file.header, "abs_time", 0):
+        return None
+    stamp = file.header.start_time
+    zone = stamp.utcoffset()
+    nanoseconds = int(np.datetime64(stamp.replace(tzinfo=None), "ns").astype(np.int64))
+    return start_at(nanoseconds - (0 if zone is None else round(zone.total_seconds()) * SECOND), zoned=zone is not None)
 
 
 def _open(stream: Any) -> Any:

@@ -18,6 +18,7 @@ from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import check_size, check_width, raise_limit
 from greybox.data.file_kinds import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.data.stamps import start_at
 from greybox.data.time_base import Samples
 
 RECORDER = "recorder"
@@ -178,7 +179,7 @@ def _to_table(counts: Mapping[str, int], iterate: Messages, policy: ReadingPolic
             k: Samples(times[topic := places[k][0]], np.array(values[k]), shortest[topic] / NANOSECONDS) for k in wanted
         }
 
-    return ChannelTable.from_channels(channels, load, policy)
+    return ChannelTable.from_channels(channels, load, policy, start=start_at(start))
 
 
 def _find_stamp(content: Any) -> int | None:

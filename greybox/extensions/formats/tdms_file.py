@@ -16,6 +16,7 @@ from greybox.data.findings import RecordCode
 from greybox.data.headers import parse_header
 from greybox.data.notation import read_conversion
 from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.data.stamps import start_at
 from greybox.data.time_base import Samples
 
 
@@ -91,7 +92,8 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
                 result[k] = Samples(time, values)
         return result
 
-    return ChannelTable.from_channels(channels, load, policy, findings)
+    start = start_at(round(origin * 1e6) * 1000) if known else None
+    return ChannelTable.from_channels(channels, load, policy, findings, start)
 
 
 def _read_stamps(channel: Any, clock: Any) -> _Stamps | None:
@@ -110,8 +112,9 @@ def _read_stamps(channel: Any, clock: Any) -> _Stamps | None:
 
 
 def _to_epoch(stamp: Any) -> float:
-    """Seconds since 1970; TDMS counts in microseconds at the finest."""
-    return float(np.datetime64(stamp).astype("datetime64[us]").astype(np.int64)) * 1e-6
+    """Seconds since 1970, in microseconds at the finest; NaN of a clock that was never set."""
+    microseconds = int(np.datetime64(stamp).astype("datetime64[us]").astype(np.int64))
+    return microseconds * 1e-6 if start_at(microseconds * 1000) else np.nan
 
 
 TDMS = FileFormat("TDMS", (".tdms",), read_tdms, "export it as CSV", (("nptdms", "tdms"),))
