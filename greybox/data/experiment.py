@@ -532,6 +532,10 @@ class UnknownInputGap(NamedTuple):
     change: float
 
 
+class GapError(DataError):
+    """A record that cannot be run through a gap in its time, and can be split there."""
+
+
 def refuse_unknown_input(records: Iterable[Experiment]) -> None:
     """Raise DataError for a record with a long gap in which an input moves on, unknown; it names the longest."""
     for record in records:
@@ -561,7 +565,7 @@ def refuse_long_time_gaps(records: Iterable[Experiment]) -> None:
 
 
 def _refuse_gap(record: Experiment, start: float, stop: float, more: str, reason: str) -> None:
-    raise_problems(f"experiment {record.name!r}", [f"time has a gap from {start:.6g} to {stop:.6g} s{more}: {reason}"])
+    raise GapError(f"experiment {record.name!r}: time has a gap from {start:.6g} to {stop:.6g} s{more}: {reason}")
 
 
 # Missing rows from which a gap is long; fewer do little harm to a simulation.

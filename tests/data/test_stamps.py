@@ -270,7 +270,7 @@ def write_recording(path, begins):
     elif path.suffix == ".mf4":
         asammdf = pytest.importorskip("asammdf")
         with asammdf.MDF(version="4.10") as file:
-            file.start_time = begins or dt.datetime.fromtimestamp(0, dt.timezone.utc)
+            file.start_time = begins or dt.datetime.fromtimestamp(0, dt.UTC)
             file.append([asammdf.Signal(v, seconds, name=n) for n, v in (("u", DRIVE), ("x", ANSWER))])
             file.save(path, overwrite=True)
     else:
@@ -291,7 +291,7 @@ def write_recording(path, begins):
 @pytest.mark.parametrize("kind", [".tdms", ".mf4", ".mcap"])
 def test_recordings_of_one_call_have_one_origin(tmp_path, kind):
     columns = {"u": "rig.u", "x": "rig.x"} if kind == ".mcap" else None
-    noon = dt.datetime(2026, 3, 29, 12, 0, tzinfo=dt.timezone.utc)
+    noon = dt.datetime(2026, 3, 29, 12, 0, tzinfo=dt.UTC)
     paths = [
         write_recording(tmp_path / f"{k}{kind}", noon + dt.timedelta(seconds=after)) for k, after in enumerate((25, 0))
     ]

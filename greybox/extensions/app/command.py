@@ -97,7 +97,7 @@ def app(study: AppStudy) -> None:
         LoadedRecord(record, file, validates)
         for files, validates in ((study.estimation, False), (study.validation, True))
         for file in files
-        for record in book.read([file], study.columns, validates=validates)
+        for record in book.read([file], study.columns, validates=validates, split=study.split_holes)
     ]
     refuse_repeated(r.experiment for r in records if not r.validates)
     judges = [r.experiment for r in records if r.validates]
@@ -112,6 +112,7 @@ def app(study: AppStudy) -> None:
         study.skip,
         study.beginning,
         study.columns,
+        study.split_holes,
     )
 
     def announce(address: str) -> None:
@@ -150,11 +151,13 @@ class StudyOnFile:
         self.study, self.model = study, model
 
     def read(
-        self, files: Sequence[Path], columns: Mapping[str, str], *, validates: bool = False
+        self, files: Sequence[Path], columns: Mapping[str, str], *, validates: bool = False, split: bool = False
     ) -> tuple[Experiment, ...]:
-        """The records in ``files``, as the study reads its own but for the ``columns``. Raises GreyboxError."""
+        """The records in ``files``, as the study reads its own but for the ``columns``, ``split`` at gaps. Raises GreyboxError."""
         estimation, validation = ((), tuple(files)) if validates else (tuple(files), ())
         study = self.study.but(estimation=estimation, validation=validation, columns=columns)
+        if split and not study.split_holes:  # behind a gap the plant is in motion
+            study = study.but(split_holes=True, at_rest=False)
         return tuple(record for group in inputs.read_records(study, self.model) for record in group)
 
     def propose_columns(
@@ -194,6 +197,8 @@ class StudyOnFile:
             estimation=estimation,
             validation=validation,
             columns=session.columns,
+            split_holes=session.split,
+            at_rest=session.options.at_rest,
             file=None,
             from_file=frozenset(),
             unused=(),

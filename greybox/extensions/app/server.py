@@ -34,6 +34,7 @@ from tornado.web import Application, HTTPError, RequestHandler, stream_request_b
 
 from greybox.base import DataError, GreyboxError, write_file
 from greybox.base.files import find_free_path
+from greybox.data.experiment import GapError
 from greybox.data.file_kinds import record_suffixes
 from greybox.data.policy import READING_POLICY
 from greybox.extensions.app.jobs import JobKind
@@ -211,6 +212,8 @@ class GuardedHandler(RequestHandler):
             content = await self.server.compute(function)
         except UnmatchedRecordError as error:
             self.answer({"error": str(error), "choice": error.choice}, UNPROCESSABLE)
+        except GapError as error:
+            self.answer({"error": str(error), "gap": True}, UNPROCESSABLE)
         except (GreyboxError, OSError) as error:
             self.answer({"error": str(error)}, UNPROCESSABLE)
         # A bug ends this answer alone: the terminal gets all of it, the page what it is.
@@ -332,6 +335,7 @@ ACTIONS: Mapping[str, Callable[[Workbench, Mapping[str, Any]], Callable[[], Any]
     "part": lambda bench, given: partial(bench.set_part, str(given["name"]), str(given["known"])),
     "forget": lambda bench, given: partial(bench.forget, int(given["record"])),
     "role": lambda bench, given: partial(bench.set_role, int(given["record"]), bool(given["validates"])),
+    "split": lambda bench, given: bench.split,
     "undo": lambda bench, given: bench.undo,
     "fit": lambda bench, given: partial(bench.start, JobKind.FIT),
     "discover": lambda bench, given: partial(bench.start, JobKind.DISCOVER),

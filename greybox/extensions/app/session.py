@@ -88,6 +88,8 @@ class Session:
         As `greybox.fit` takes them.
     columns
         Which column is which signal, where a record's headers do not say it; the same for all records.
+    split
+        Whether records are split where their time has gaps.
     ranges
         Range of each constant's slider.
     fit
@@ -104,6 +106,7 @@ class Session:
     skip: int = 0
     beginning: int = 0
     columns: Mapping[str, str] = field(default_factory=dict)
+    split: bool = False
     ranges: Mapping[str, ValueRange] = field(default_factory=dict)
     fit: Fit | None = None
     discovery: Discovery | None = None

@@ -23,7 +23,7 @@ from greybox.base.document import FigureBlock
 from greybox.base.figure import Figure
 from greybox.base.files import OUTPUTS_FILE, find_free_path, is_output_of, list_foreign
 from greybox.data.columns import ColumnChoice, merge_mappings
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import GapError
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.extensions.app.jobs import LAST_NEWS, Job, JobEvent, JobKind, JobNews
@@ -325,9 +325,12 @@ class Workbench:
         if columns:
             # One choice of columns holds for all records: those that are there are read anew.
             merged = merge_mappings(session.columns, columns)
-            session = replace(session, columns=merged, records=self._read_again(merged))
+            session = replace(session, columns=merged)
+            session = replace(session, records=self._read_again(session))
         try:
-            records = self.study.read([file], session.columns)
+            records = self.study.read([file], session.columns, split=session.split)
+        except GapError:
+            raise
         except DataError as error:
             # A record that lacks columns asks the person; anything else that is wrong with it is said.
             proposal = self.study.propose_columns(file, session.columns)
@@ -336,18 +339,31 @@ class Workbench:
             raise UnmatchedRecordError(str(error), show_choice(*proposal)) from error
         self._take(session.with_records([LoadedRecord(record, file, validates) for record in records]))
 
-    def _read_again(self, columns: Mapping[str, str]) -> tuple[LoadedRecord, ...]:
-        """The records of the session with other columns. Raises GreyboxError."""
-        present = self.session.records
-        fresh: dict[tuple[str, str], Experiment] = {}
-        for file in dict.fromkeys(r.file for r in present):
+    def split(self) -> None:
+        """Read the records anew, each split where its time has gaps; and those that follow. Raises GreyboxError."""
+        # Behind a gap a plant is in motion, however the record began.
+        session = replace(self.session, split=True, options=replace(self.session.options, at_rest=False))
+        self._take(replace(session, records=self._read_again(session)))
+
+    def _read_again(self, session: Session) -> tuple[LoadedRecord, ...]:
+        """The records of ``session``, its files read with its columns and split as it says. Raises GreyboxError."""
+        fresh: list[LoadedRecord] = []
+        before = self.session.split
+        for file, group in itertools.groupby(self.session.records, key=lambda record: record.file):
+            present = list(group)
             try:
-                fresh |= {(str(file), r.name): r for r in self.study.read([file], columns)}
+                records = {r.name: r for r in self.study.read([file], session.columns, split=session.split)}
+            except GapError:
+                raise
             except DataError as error:
                 raise DataError(
                     f"{error}. One choice of columns holds for all records: remove {file.name} first, or give both files the same headers"
                 ) from error
-        return tuple(replace(r, experiment=fresh[str(r.file), r.experiment.name]) for r in present)
+            if session.split is before:
+                fresh += [replace(r, experiment=records[r.experiment.name]) for r in present]
+            else:
+                fresh += [LoadedRecord(record, file, present[0].validates) for record in records.values()]
+        return tuple(fresh)
 
     def forget(self, index: int) -> None:
         """Put a record away. Raises DataError."""

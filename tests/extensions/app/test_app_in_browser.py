@@ -136,6 +136,29 @@ def test_a_person_loads_records(page, rig: Path, tmp_path: Path) -> None:
         assert page.locator(f"#{figure} svg.main-svg").count() > 0
 
 
+def test_a_record_with_a_gap_is_split_with_a_click(page, rig: Path, tmp_path: Path) -> None:
+    torn, lines = tmp_path / "torn.csv", (rig / "test.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    torn.write_text("".join([*lines[:120], *lines[180:]]), encoding="utf-8")
+    page.set_input_files("#load", str(torn))
+    page.wait_for_selector("#gap:not([hidden])")
+    assert "time has a gap" in page.text_content("#message") and page.locator("#records li").count() == 2
+    page.click("#split")
+    until(page, "document.querySelectorAll('#records li').length === 4")
+    assert page.is_hidden("#gap") and page.is_hidden("#message")
+    # Behind the gap the carriage moves: its speed there is estimated, and the run begins with it.
+    assert "at_rest" not in page.text_content("#study")
+    page.select_option("#record", "3")
+    until(page, "Math.abs(document.getElementById('run').data[1].y[0]) > 0.05")
+    assert "split_holes = true" in page.text_content("#study") and "torn.csv" in page.text_content("#study")
+    for _ in range(3):  # two records of one file, and the reading of all records with gaps
+        page.click("#undo")
+        settled(page)
+        if page.locator("#records li").count() == 2 and "split_holes" not in page.text_content("#study"):
+            break
+    until(page, "document.querySelectorAll('#records li').length === 2")
+    assert "split_holes" not in page.text_content("#study")
+
+
 def test_dragging_a_constant_redraws_the_simulation_at_once(page) -> None:
     before, redraws = ratio(page), "Number(document.documentElement.dataset.redraws ?? 0)"
     simulated = "JSON.stringify([...document.getElementById('run').data[1].y].slice(0, 50))"

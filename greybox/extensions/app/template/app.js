@@ -21,6 +21,7 @@
     by("message").textContent = text;
     by("message").className = good ? "good" : "";
     by("message").hidden = !text;
+    by("gap").hidden = true;
     if (text && !good) by("message").scrollIntoView({ block: "nearest" });
   };
 
@@ -33,7 +34,7 @@
     } catch {
       throw new Error(answer ? `The app refused this (${answer.status}).` : "The app does not answer: it has ended, or is busy. Look at its terminal.");
     }
-    if (!answer.ok) throw Object.assign(new Error(content.error), { choice: content.choice });
+    if (!answer.ok) throw Object.assign(new Error(content.error), { choice: content.choice, gap: content.gap });
     return content;
   };
   const act = (name, given = {}) => ask(`do/${name}`, JSON.stringify(given));
@@ -304,14 +305,18 @@
     by("signals").querySelector("select").focus({ preventScroll: true });
   };
 
+  // Files that were refused for a gap: split there, they can be loaded.
+  let torn = [];
   const load = async (list, validates, columns = {}) => {
     const refused = [];
+    torn = [];
     tell("");
     by("choice").hidden = true;
     waiting = null;
-    for (const [k, file] of list.entries())
+    for (const [k, file] of list.entries()) {
+      const chosen = k ? {} : columns;
       try {
-        const chosen = k ? {} : columns, query = new URLSearchParams({ name: file.name, validates: validates ? 1 : 0, columns: JSON.stringify(chosen) });
+        const query = new URLSearchParams({ name: file.name, validates: validates ? 1 : 0, columns: JSON.stringify(chosen) });
         render(await ask(`records?${query}`, file));
         shown.record = state.records.length - 1;
       } catch (error) {
@@ -322,8 +327,11 @@
           break;
         }
         refused.push(error.message);
+        if (error.gap) torn.push([file, validates, chosen]);
       }
+    }
     tell(refused.join(" "));
+    by("gap").hidden = !torn.length;
     await lookAgain();
   };
   by("choice").addEventListener("submit", (event) => {
@@ -335,6 +343,16 @@
     load(waiting.files, waiting.validates, Object.fromEntries(said.map(([name, column, unit]) => [unit ? `${name} [${unit}]` : name, column])));
   });
   by("leave").addEventListener("click", () => (waiting.files.length > 1 ? load(waiting.files.slice(1), waiting.validates) : (by("choice").hidden = true)));
+  by("split").addEventListener("click", async () => {
+    const again = torn;
+    try {
+      render(await act("split"));
+      tell("");
+      for (const [file, validates, columns] of again) await load([file], validates, columns);
+    } catch (error) {
+      tell(error.message);
+    }
+  });
   for (const [id, validates] of [["load", false], ["load-validation", true]])
     by(id).addEventListener("change", async ({ target }) => {
       await load([...target.files], validates);
