@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from greybox.extensions.changes.detect import detect_changes
     from greybox.extensions.design.next_record import design
     from greybox.extensions.fleet.batch import fit_each
-    from greybox.extensions.robot.plant import robot
+    from greybox.extensions.robot.model import robot
     from greybox.model import effects
     from greybox.model.balance import Balance
     from greybox.model.characteristic import Characteristic
@@ -76,7 +76,7 @@ _NAMES = {
     "extensions.changes.detect": ("detect_changes",),
     "extensions.design.next_record": ("design",),
     "extensions.fleet.batch": ("fit_each",),
-    "extensions.robot.plant": ("robot",),
+    "extensions.robot.model": ("robot",),
     "data.signals": ("SignalLimit",),
     "model": ("Balance", "Characteristic", "DryFriction", "Effect", "Model"),
     "model.signals": ("Input", "Output", "Parameter", "State"),

@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from greybox.extensions.robot.design import MotionDesign, design_motion
     from greybox.extensions.robot.identify import identify_robot
     from greybox.extensions.robot.logs import read_joint_logs
-    from greybox.extensions.robot.model import robot_model
-    from greybox.extensions.robot.plant import RobotPlant, robot
+    from greybox.extensions.robot.model import RobotPlant, robot, robot_model
     from greybox.extensions.robot.result import RobotIdentification
     from greybox.extensions.robot.rigid_body import RigidBody
 

@@ -61,8 +61,8 @@ def robot(study: RobotStudy) -> Answer:
     from greybox.extensions.robot.design import design_motion
     from greybox.extensions.robot.identify import identify_robot
     from greybox.extensions.robot.logs import read_joint_logs
+    from greybox.extensions.robot.model import robot as read_plant
     from greybox.extensions.robot.model import robot_model
-    from greybox.extensions.robot.plant import robot as read_plant
     from greybox.extensions.robot.result import RobotIdentification
 
     plant = read_plant(study.source)

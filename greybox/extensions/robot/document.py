@@ -10,8 +10,8 @@ from greybox.base import Finding, format_unit
 from greybox.base import document as doc
 from greybox.base.figure import Axis, Curve, Figure, Panel, Points, Role, Scale, Thinning
 from greybox.discovery.decision import Grade
-from greybox.extensions.robot.joint_effects import KINDS
 from greybox.extensions.robot.result import BaseEstimate, JointEffect, RigidVerdict, RobotCode, RobotIdentification
+from greybox.extensions.robot.table import KINDS
 from greybox.show.documents.tables import provenance_section, worst_first
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.sentences.registry import register, writes

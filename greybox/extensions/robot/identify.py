@@ -18,21 +18,9 @@ from greybox.base import DataError, Finding, Severity, nearest
 from greybox.base.json_shape import Interval
 from greybox.data.experiment import Experiment
 from greybox.discovery.decision import Grade
-from greybox.extensions.robot.base_parameters import BaseParameters, find_base_parameters
+from greybox.extensions.robot.base_parameters import BaseParameters, find_base_parameters, find_physical_constants
 from greybox.extensions.robot.description import Joint, Robot
-from greybox.extensions.robot.joint_effects import (
-    COLUMNS,
-    COULOMB,
-    GAIN,
-    INERTIA,
-    LAG,
-    OFFSET,
-    STRIBECK,
-    VISCOUS,
-    WIDTH,
-)
 from greybox.extensions.robot.motion import reconstruct_motion
-from greybox.extensions.robot.physical import find_physical_constants
 from greybox.extensions.robot.regression import BlockProducts, BlockSolution, promise
 from greybox.extensions.robot.result import (
     BaseEstimate,
@@ -45,9 +33,18 @@ from greybox.extensions.robot.result import (
     TorqueConstant,
 )
 from greybox.extensions.robot.table import (
+    COLUMNS,
+    COULOMB,
+    GAIN,
+    INERTIA,
+    LAG,
     LEAST_BLOCK_ROWS,
     LEAST_BLOCKS,
     LEAST_MOVING_ROWS,
+    OFFSET,
+    STRIBECK,
+    VISCOUS,
+    WIDTH,
     JointLog,
     JointTable,
     WorkingPoint,
@@ -169,7 +166,7 @@ def identify_robot(
             findings.append(Finding(RobotCode.AXIS_WITHOUT_ROWS, Severity.WARNING, joint.name))
     point, table, chosen = _search(log, known, gauge, free)
     sums = table.weigh_by_residual(chosen)
-    torques = _follow_torques(log, point.move(solve(sums, chosen), _fastest(log)), free)
+    torques = _follow_torques(log, point.move(solve(sums, chosen), log.fastest), free)
     sums = _join_blocks(sums, log, torques, findings)
     every, estimates = max(1, count // SHAKEN_ROWS), []
     # As much noise again shifts the estimates by as much again (Cook, Stefanski, J. American Statistical Association 89, 1994); once with
@@ -288,10 +285,10 @@ def _guess_constants(log: JointLog, known: np.ndarray, scale: np.ndarray, free: 
         joints[i][:, gain], joints[i][:, :, gain] = -joints[i][:, -1], -joints[i][:, :, -1]
         joints[i][:, gain, gain] = table.joints[i][:, -1, -1]
         joints[i][:, -1], joints[i][:, :, -1] = 0.0, 0.0
-    chosen = [*range(B), *_usual(B, range(n)), *(place_column(B, i, COLUMNS.index(GAIN)) for i in free)]
+    chosen = [*range(B), *_usual(B, range(n)), *(place_column(B, i, GAIN) for i in free)]
     x = solve(replace(table, joints=joints).weigh(np.ones(n)), chosen)
     # A reading without any torque behind it is left as it is.
-    guessed = x[[place_column(B, i, COLUMNS.index(GAIN)) for i in free]]
+    guessed = x[chosen[len(chosen) - len(free) :]]
     return np.where(guessed != 0, guessed, 1.0)
 
 
@@ -331,9 +328,9 @@ def _search(
     log: JointLog, known: np.ndarray, gauge: np.ndarray, free: Sequence[int]
 ) -> tuple[WorkingPoint, JointTable, list[int]]:
     """Columns of the answer, and the table linearised about it."""
-    base, n, fastest = len(known) - 1, log.tau.shape[1], _fastest(log)
+    base, n, fastest = len(known) - 1, log.tau.shape[1], log.fastest
     joints = np.flatnonzero(log.counts.any(axis=0)).tolist()
-    fixed = [place_column(base, i, COLUMNS.index(GAIN)) for i in free if i in joints]
+    fixed = [place_column(base, i, GAIN) for i in free if i in joints]
     chosen = sorted([*range(base), *_usual(base, joints), *fixed])
 
     def settle(point: WorkingPoint, times: int) -> tuple[WorkingPoint, JointTable]:
@@ -351,9 +348,8 @@ def _search(
             place = (column - base) % len(COLUMNS)
             if kind is STRIBECK:
                 point = widen(point, joint, place, value, fastest[joint])
-                chosen.append(place_column(base, joint, COLUMNS.index(WIDTH)))
-                place = COLUMNS.index(STRIBECK)
-            chosen.append(place_column(base, joint, place))
+                chosen.append(place_column(base, joint, WIDTH))
+            chosen.append(place_column(base, joint, kind))
         chosen.sort()
         point, table = settle(point, SETTLING)
     while dropped := _find_idle(table.weigh_by_residual(chosen).take(chosen).fit(), chosen, base, fixed, point):
@@ -363,12 +359,6 @@ def _search(
             point.widths[joint] = np.nan if kind is STRIBECK else point.widths[joint]
         point, table = settle(point, 1)
     return point, table, chosen
-
-
-def _fastest(log: JointLog) -> np.ndarray:
-    """The largest speed (n,) of each axis."""
-    largest = np.abs(log.motion[0]).max(axis=0)
-    return np.asarray(np.where(largest > 0, largest, 1.0))
 
 
 def _find_unusual(
@@ -410,7 +400,7 @@ def _find_idle(
         ratio = point.complete(kind, joint, value) / (std or np.inf)
         sure = ratio if kind.is_positive else abs(ratio)
         if sure < NAMED_DEVIATIONS:
-            together = [column, place_column(base, joint, COLUMNS.index(WIDTH))] if kind is STRIBECK else [column]
+            together = [column, place_column(base, joint, WIDTH)] if kind is STRIBECK else [column]
             worst[joint] = min(worst.get(joint, (True, np.inf, [])), (kind in USUAL, float(sure), together))
     return [column for *_, columns in worst.values() for column in columns]
 
@@ -494,7 +484,7 @@ class _Answer:
 
     def list_torque_constants(self, scale: np.ndarray) -> Iterator[TorqueConstant]:
         """The torque constants that were free; ``scale`` (n,) is what the readings were multiplied by."""
-        places = {i: list(self.chosen).index(place_column(self.table.base, i, COLUMNS.index(GAIN))) for i in self.free
+        places = {i: list(self.chosen).index(place_column(self.table.base, i, GAIN)) for i in self.free
                   if self.table.rows[i].any()}  # fmt: skip
         spread = self.fit.covariance + np.diag(self.bias**2)
         for i, place in places.items():
@@ -523,11 +513,8 @@ class _Answer:
         joint, kind = kind_of(self.table.base, column)
         without = [c for c in self.chosen if c != column]
         share = float(1 - self._rms(self.chosen)[joint] / self._rms(without)[joint])
-        others = [
-            place_column(self.table.base, joint, k)
-            for k, other in enumerate(COLUMNS)
-            if other not in (kind, WIDTH) and not (other is GAIN and joint in self.free)
-        ]
+        known = {kind, WIDTH, *[GAIN] * (joint in self.free)}
+        others = [place_column(self.table.base, joint, k) for k, other in enumerate(COLUMNS) if other not in known]
         further = [c for c in others if c not in self.chosen]
         shares = promise(self.sums, self.chosen, further).share
         # Beside everything else that its joint may have, all at once.
@@ -546,7 +533,7 @@ class _Answer:
         """The fit of some columns, and constants (P,) with it; gains that are not among them are one, those of currents stand."""
         x = np.zeros(self.sums.size)
         for i, gain in enumerate(self.point.gains):
-            at = place_column(self.table.base, i, COLUMNS.index(GAIN))
+            at = place_column(self.table.base, i, GAIN)
             columns = [c for c in columns if c != at or i not in self.free]
             x[at] = 0.0 if at in columns or i in self.free else 1 - gain
         fit = self.sums.substitute(np.eye(self.sums.size)[:, list(columns)], x).fit()

@@ -17,7 +17,7 @@ from greybox.data.notation import converts
 from greybox.data.policy import READING_POLICY
 from greybox.data.read import read_experiments
 from greybox.extensions.robot.description import Robot
-from greybox.extensions.robot.plant import RobotPlant
+from greybox.extensions.robot.model import RobotPlant
 from greybox.extensions.robot.result import RobotCode
 
 # Words of a header that say what of a joint a column is.

@@ -73,7 +73,7 @@ class JointEffect:
     Parameters
     ----------
     joint, kind
-        Where, and which kind of `greybox.extensions.robot.joint_effects`.
+        Where, and which kind of `greybox.extensions.robot.table`.
     value, std, interval, unit
         Its constant.
     grade

@@ -14,9 +14,9 @@ from greybox.base import DataError
 from greybox.base.json_shape import to_json_data
 from greybox.discovery.decision import Grade
 from greybox.extensions.robot import RobotIdentification, find_base_parameters, identify_robot, read_robot
+from greybox.extensions.robot.base_parameters import find_physical_constants
 from greybox.extensions.robot.description import to_pseudo_inertia
 from greybox.extensions.robot.motion import reconstruct_motion
-from greybox.extensions.robot.physical import find_physical_constants
 from greybox.extensions.robot.regression import BlockProducts, promise
 from greybox.extensions.robot.result import RigidVerdict
 from greybox.extensions.robot.table import make_log
