@@ -12,6 +12,8 @@ import numpy as np
 
 from greybox.base import TINY, Finding, FitError, ModelError, Severity, nearest, read_versions
 from greybox.base.interrupts import HeldInterrupt, hold_interrupts
+from greybox.base.linear_algebra import eliminate
+from greybox.base.numerics import RANK_CUTOFF
 from greybox.data.experiment import (
     Experiment,
     collect_record_findings,
@@ -25,7 +27,6 @@ from greybox.data.read import as_experiments
 from greybox.estimation import result_parts
 from greybox.estimation.covariance import (
     check_priors,
-    decompose_information,
     locate_fitted,
     to_estimates,
     to_experiment_estimates,
@@ -59,6 +60,7 @@ from greybox.estimation.prediction_error import (
 )
 from greybox.estimation.reading_errors import find_mistaken_units, find_reading_errors
 from greybox.estimation.result import Fit
+from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import (
     EstimationProblem,
     FitProgressCallback,
@@ -511,6 +513,8 @@ def stands_where_it_began(optimum: SimulationOptimum) -> bool:
 
 # Points about the start at which a model shows how many of its constants the records could tell.
 LOOKS_ELSEWHERE = 3
+# A direction that a thousand times the size a constant began with does not show has gone: what a rate that runs away leaves behind.
+LOST_SIZES = 1e3
 # Share of the cost that a search must have gained to have been under way.
 NOTHING_GAINED = 0.01
 
@@ -518,24 +522,42 @@ NOTHING_GAINED = 0.01
 def has_lost_constants(optimum: SimulationOptimum, problem: EstimationProblem) -> bool:
     """Whether a search ended, above the noise, where more directions of the constants change nothing than at its start or near it.
 
-    There a term has gone (an exponent that left the record, two of a sum that became one), and the slopes with it: nothing leads back. A
-    model whose constants the records never tell apart has as many such directions everywhere, and loses none.
+    There a term has gone (an exponent that left the record, two of a sum that became one, a rate that ran away), and the slopes with it:
+    nothing leads back. A model whose constants the records never tell apart has as many such directions everywhere, and loses none.
     """
-    lost = decompose_information(optimum.variables, optimum.evaluation.hessian).weak.shape[1]
-    if not lost or is_at_noise(optimum) or not np.isfinite(optimum.evaluation.cost):
+    if is_at_noise(optimum) or not np.isfinite(optimum.evaluation.cost):
         return False
-    begin = problem.shooting().evaluate(problem.variables.here)
+    start, variance = problem.variables, optimum.evaluation.cost / max(optimum.evaluation.count, 1)
+    size = np.where(start.base == 0, start.scale, np.abs(start.base))
+    if not (lost := count_open_directions(optimum.variables, optimum.evaluation, size, variance, 0.0)):
+        return False
+    begin = problem.shooting().evaluate(start.here)
     # A search that began at the optimum has lost nothing on its way.
     if begin.cost <= (1 + NOTHING_GAINED) * optimum.evaluation.cost:
         return False
     near = draw_starts(optimum.model, LOOKS_ELSEWHERE, seed=0, factor=STARTS_FACTOR)
-    evaluations = ((v, problem.shooting(v).evaluate(v.here)) for v in map(problem.variables.with_values, near))
+    evaluations = ((v, problem.shooting(v).evaluate(v.here)) for v in map(start.with_values, near))
     return any(
         # What may be rounding there is not what has gone here.
-        decompose_information(v, elsewhere.hessian).without_doubtful().weak.shape[1] < lost
-        for v, elsewhere in itertools.chain([(problem.variables, begin)], evaluations)
+        count_open_directions(v, elsewhere, size, variance, RANK_CUTOFF) < lost
+        for v, elsewhere in itertools.chain([(start, begin)], evaluations)
         if np.isfinite(elsewhere.hessian).all()
     )
+
+
+def count_open_directions(
+    variables: DecisionVector, evaluation: Evaluation, size: np.ndarray, variance: float, rounding: float
+) -> int:
+    """Directions of the constants along which `LOST_SIZES` times their ``size`` (nf,) change the cost by less than the ``variance``.
+
+    So do those whose curvature is less than the share ``rounding`` of the largest.
+    """
+    n, span = len(variables.which), size / variables.spans
+    constants, states = np.arange(n), np.arange(n, len(evaluation.hessian))
+    # First states are estimated as well: Schur's complement; d'Hd / 2 is the change of the cost by a step d.
+    reduced = np.nan_to_num(eliminate(evaluation.hessian, constants, states) @ evaluation.hessian[:, constants])
+    curvature = np.linalg.eigvalsh(reduced * np.outer(span, span) / 2)
+    return int(np.sum(curvature < max(variance / LOST_SIZES**2, rounding * curvature.max(initial=0.0))))
 
 
 def _try_other_starts(

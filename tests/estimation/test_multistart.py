@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 import greybox as gb
 from greybox import Balance, GreyboxError, Input, Model, Output, Parameter, State
@@ -239,6 +240,35 @@ def test_a_search_that_lost_constants_on_its_way_is_begun_elsewhere(rates):
     assert sorted(found.model.values[name] for name in "pq") == pytest.approx([0.2, 1.5], rel=0.1)
     taken = find(found.findings, EstimationCode.OTHER_START_TAKEN)
     assert taken.values["trouble"] == SearchTrouble.LOST_CONSTANTS and "change nothing" in str(taken)
+
+
+def test_a_rate_that_ran_away_is_searched_for_elsewhere():
+    """Two lags in a row of rates 2 and 0.1 in pulses; from this start the fast one grows without end, and leaves a single lag behind."""
+    rates = {"k": 1000.0, "fast": 2.0, "slow": 0.1}
+    lags = Model(
+        "lags",
+        [State("a", "1"), State("b", "1")],
+        [Input("u", "1")],
+        [Output("b", "1")],
+        [Parameter(name, "1", value, (0.0, np.inf)) for name, value in rates.items()],
+        lambda x, u, p: [
+            Balance("first", "1", 1, "a", drive=p.k * u.u, loss=-p.fast * x.a),
+            Balance("second", "1", 1, "b", gain=p.fast * x.a, loss=-p.slow * x.b),
+        ],
+    )
+    t = np.linspace(0, 60, 121)
+    u = np.where(t % 20 < 8, 1.0, 0.0)
+    held = lsim(([rates["k"] * rates["fast"]], np.polymul([1, rates["fast"]], [1, rates["slow"]])), u, t, interp=False)[
+        1
+    ]
+    y = held + 0.02 * np.ptp(held) * np.random.default_rng(0).normal(size=len(t))
+    begun = lags.start(k=114.0, fast=3.2, slow=1.2)
+    record, known = Experiment("r", t, {"u": u}, {"b": y}), {"b": 0.02 * np.ptp(held)}
+    alone = fit(begun, record, noise=known, options=replace(REST, other_starts=0))
+    assert alone.model.values["fast"] > 1e3
+    found = fit(begun, record, noise=known, options=REST)
+    assert found.model.values["fast"] == pytest.approx(2.0, rel=0.2)
+    assert find(found.findings, EstimationCode.OTHER_START_TAKEN).values["trouble"] == SearchTrouble.LOST_CONSTANTS
 
 
 def test_constants_that_no_record_tells_apart_are_not_lost():
