@@ -126,32 +126,20 @@ static void rates_along(const struct context *c, const double *x, const v *dx, c
     slopes(&c->slopes, x, (const vu *)dx, u, c->p, c->dp, f, df);
 }
 
-/* dK of a stage: (I - h GAMMA J) dK = J V + df/dp dp, with J at the stage itself; M is that of the start of the step. */
-static void solve_stage(const struct context *c, const double *x, const v *base, double scale, const double *u, const double (*m)[NX],
-                        const int *pivot, v *dk)
+/* dK of a stage: (I - h GAMMA J) dK = J V + df/dp dp, with J at the stage itself. Its own matrix costs less than iterations by that of the
+   step, each of which runs through all lanes. */
+static void solve_stage(const struct context *c, const double *x, const v *base, double scale, const double *u, v *dk)
 {
-    double f[NX], largest, change;
-    v moved[NX * NB], left[NX * NB];
-    for (int i = 0; i < NX * NB; i++)
-        dk[i] = zero;
-    for (int iteration = 0; iteration < MOST_TANGENT_ITERATIONS; iteration++) {
+    static _Thread_local double j[NX][NX], m[NX][NX];
+    double f[NX];
+    int pivot[NX];
+    rates_along(c, x, base, u, f, dk);
+    jacobian_of(c, x, u, j);
+    if (factorise(scale, (const double(*)[NX])j, m, pivot))
+        solve_lanes((const double(*)[NX])m, pivot, dk);
+    else
         for (int i = 0; i < NX * NB; i++)
-            moved[i] = base[i] + scale * dk[i];
-        rates_along(c, x, moved, u, f, left);
-        for (int i = 0; i < NX * NB; i++)
-            left[i] -= dk[i];
-        solve_lanes(m, pivot, left);
-        largest = change = 0;
-        for (int i = 0; i < NX * NB; i++) {
-            dk[i] += left[i];
-            for (int l = 0; l < W; l++) {
-                change = fmax(change, fabs(left[i][l]));
-                largest = fmax(largest, fabs(dk[i][l]));
-            }
-        }
-        if (!(change > TANGENT_CHANGE * largest))
-            break;
-    }
+            dk[i] = zero + NAN;
 }
 #endif
 
@@ -280,7 +268,7 @@ EXPORT long integrate(long n, int is_even, double tolerance, const double *is_li
                     for (int l = 0; l < s; l++)
                         moved[i] += step * TABLE[s * STAGES + l] * dk[l][i];
                 }
-                solve_stage(&c, stage[s], moved, GAMMA * step, ui[s], (const double(*)[NX])m, pivot, dk[s]);
+                solve_stage(&c, stage[s], moved, GAMMA * step, ui[s], dk[s]);
             }
             for (int i = 0; i < NX * NB; i++)
                 dx[i] = moved[i] + GAMMA * step * dk[STAGES - 1][i];

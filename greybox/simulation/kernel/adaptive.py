@@ -47,9 +47,6 @@ NEWTON_SHARE = 0.01
 # Ratios of a change to the one before: above the first the Jacobian is made anew for the next step, above the second the stage has no end.
 SLOW = 0.2
 DIVERGING = 0.9
-# Iterations for the tangents of a stage, whose Jacobian is not quite that of the matrix, and the relative change at which they end.
-MOST_TANGENT_ITERATIONS = 12
-TANGENT_CHANGE = 1e-9
 # States up to which each step has a Jacobian of its own: it costs no more than the iterations that it saves.
 FEW_STATES = 12
 
@@ -222,8 +219,7 @@ class AdaptiveKernel(KernelInParts):
             **{"FIRST_SHARE": FIRST_SHARE, "MOST_STEPS": MOST_STEPS, "STEPS_AN_INTERVAL": STEPS_AN_INTERVAL},
             **{"SMALLEST_STEP": SMALLEST_STEP, "FIRST_STEP": FIRST_STEP, "SAFETY": SAFETY},
             **{"KEPT_GROWTH": KEPT_GROWTH, "MOST_ITERATIONS": MOST_ITERATIONS, "NEWTON_SHARE": NEWTON_SHARE},
-            **{"SLOW": SLOW, "DIVERGING": DIVERGING, "MOST_TANGENT_ITERATIONS": MOST_TANGENT_ITERATIONS},
-            **{"TANGENT_CHANGE": TANGENT_CHANGE, "FEW_STATES": FEW_STATES},
+            **{"SLOW": SLOW, "DIVERGING": DIVERGING, "FEW_STATES": FEW_STATES},
         }
         if blocks:
             constants |= {"W": width, "NB": blocks}
@@ -349,7 +345,7 @@ class _NumpyRun:
                 continue
             self.kernel.work[0] += 1
             assert stages is not None
-            dx, dfirst = self._move_tangents(dx, dfirst, step, stages, inputs, matrix)
+            dx, dfirst = self._move_tangents(dx, dfirst, step, stages, inputs)
             x, first = stages[-1], rates[-1]
             self.set_scales(x)
             growth = (
@@ -399,21 +395,16 @@ class _NumpyRun:
         step: float,
         stages: list[np.ndarray],
         inputs: list[np.ndarray],
-        matrix: _Matrix,
     ) -> tuple[np.ndarray, np.ndarray]:
         """The tangents at the end of a step, and those of the rate there."""
-        slopes = [dfirst]
+        slopes, scale = [dfirst], float(esdirk.GAMMA) * step
         for s in range(1, esdirk.STAGES):
             base = dx + step * np.tensordot(esdirk.TABLE[s, :s], np.array(slopes), 1)
-            slope = np.zeros_like(dx)
-            for _ in range(MOST_TANGENT_ITERATIONS):
-                left = self.rates_along(stages[s], base + matrix.scale * slope, inputs[s]) - slope
-                left = _solve(matrix, left)
-                slope = slope + left
-                if not np.abs(left).max(initial=0.0) > TANGENT_CHANGE * np.abs(slope).max(initial=0.0):
-                    break
-            slopes.append(slope)
-        return base + matrix.scale * slopes[-1], slopes[-1]
+            _, by_state, by_parameter = call_function(self.kernel._slopes, stages[s], inputs[s], self.arguments.p)
+            # (I - h gamma J) dK = J V + df/dp dp, with J at the stage itself.
+            along = by_state @ base + by_parameter @ self.arguments.dp
+            slopes.append(_solve(_factorise(scale, by_state), along))
+        return base + scale * slopes[-1], slopes[-1]
 
 
 def _factorise(scale: float, jacobian: np.ndarray) -> _Matrix:
