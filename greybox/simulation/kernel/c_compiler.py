@@ -83,8 +83,8 @@ class NoCompilerError(CompilerError):
     """There is no C compiler on this machine."""
 
 
-# Seconds after which a compilation is given up: few models are fitted for as long as a longer text takes, and what is waited for, the tape
-# machine, takes half a second of an idle processor.
+# Seconds of an idle processor after which a compilation is given up: few models are fitted for as long as a longer text takes, and what is
+# waited for, the tape machine, takes half a second of one.
 COMPILE_SECONDS = 60.0
 
 
@@ -582,16 +582,25 @@ LOOK_SECONDS = 0.05
 
 
 def _wait(process: subprocess.Popen[str], timeout: float) -> tuple[str, str]:
-    """What a program prints. Beside a main thread that has ended it is given up: nobody waits for what it makes."""
-    deadline = time.monotonic() + timeout
+    """What a program prints. Beside a main thread that has ended it is given up: nobody waits for what it makes.
+
+    ``timeout`` counts seconds of a processor that has nothing else to do: where several programs share one, it takes as many times longer.
+    """
+    began = time.monotonic()
     while True:
         try:
             return process.communicate(timeout=LOOK_SECONDS)
         except subprocess.TimeoutExpired:
-            if time.monotonic() > deadline:
+            if time.monotonic() - began > timeout * _count_sharers():
                 raise
             if not threading.main_thread().is_alive():
                 raise CompilerError("the program has ended") from None
+
+
+def _count_sharers() -> float:
+    """How many programs share one processor; one where the system does not say."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    return max(1.0, load / (os.cpu_count() or 1))
 
 
 def _kill_group(process: subprocess.Popen[str]) -> None:
