@@ -14,7 +14,6 @@ if TYPE_CHECKING:
         Prbs,
         Steps,
         compress_multisine,
-        crest_factor,
         staircase,
     )
     from greybox.extensions.design.next_record import answer, design

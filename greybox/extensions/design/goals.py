@@ -365,7 +365,7 @@ def list_hidden_effects(
     hidden, refused = [], {}
     for entry in entries:
         try:
-            ready = _nearly_absent(question.model, tailor_to_record(entry, scales), scales, question)
+            ready = _nearly_absent(question.model, tailor_to_record(entry, scales), scales)
         except GreyboxError as error:
             refused[entry.name] = str(error)
             continue
@@ -384,7 +384,7 @@ def list_hidden_effects(
 DETECTION_PROBE = 0.02
 
 
-def _nearly_absent(model: Model, entry: Effect, scales: Scales, question: DesignProblem) -> HiddenEffect | None:
+def _nearly_absent(model: Model, entry: Effect, scales: Scales) -> HiddenEffect | None:
     """``model`` with a little of an effect; None where it is present already or its amount is no number of its own."""
     if entry.name in {e.name for e in model.effects}:
         return None

@@ -162,23 +162,6 @@ def staircase(levels: int, duration: float) -> Steps:
     return Steps(tuple(way.tolist()), duration, "staircase")
 
 
-def crest_factor(signal: np.ndarray) -> float:
-    """Peak over rms of a signal (N,).
-
-    Parameters
-    ----------
-    signal
-        The signal, without its mean.
-
-    Returns
-    -------
-    float
-        At least one; 1.41 for a sine.
-    """
-    # Peak over rms.
-    return float(np.abs(signal).max() / max(np.sqrt(np.mean(np.square(signal))), TINY))
-
-
 def compress_multisine(
     harmonics: Sequence[int], amplitudes: Sequence[float], iterations: int, seed: int = 0
 ) -> np.ndarray:

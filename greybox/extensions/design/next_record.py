@@ -309,7 +309,7 @@ def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:
         separation,
         detection,
         best.limits,
-        list_alternatives(question, keeper, make_goal, final, tried),
+        list_alternatives(question, make_goal, final, tried),
         tuple(findings),
         question.policy,
         time.perf_counter() - began,
@@ -405,7 +405,6 @@ def _findings(
 
 def list_alternatives(
     question: DesignProblem,
-    keeper: LimitKeeper,
     make_goal: goals.GoalMaker,
     goal: goals.Goal,
     tried: Sequence[TriedInput],

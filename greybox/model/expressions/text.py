@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 
-from greybox.base.errors import GreyboxError, ModelError, UnitError, nearest
+from greybox.base.errors import GreyboxError, ModelError, nearest
 from greybox.base.units import ONE, Unit, parse_unit, unit_name
 from greybox.model.expressions.graph import walk
 from greybox.model.expressions.operations import (
@@ -446,17 +446,6 @@ def _evaluate(node: ast.expr, subject: str, text: str, p: Values) -> ca.SX:
 
 
 # The unit of an expression, from the units of its symbols.
-
-
-def unit_of(value: ca.SX | float, units: Mapping[str, str]) -> Unit:
-    """The unit of an expression whose symbols have ``units`` (name -> unit); one that fits anything is a plain number.
-
-    Raises UnitError where the expression adds, compares or raises what has no common sense.
-    """
-    try:
-        return infer_unit(value, units) or ONE
-    except UnitMismatchError as mismatch:
-        raise UnitError(f"'{expression_text(value)}' {mismatch}") from None
 
 
 def infer_unit(value: ca.SX | float, units: Mapping[str, str]) -> Unit | None:
