@@ -422,7 +422,7 @@ def _weigh(answer: SearchAnswer) -> SearchAnswer:
     tried = len(search.candidates) + MOST_SIGNALS * bool(terms)
     sites = answer.location.sets if answer.location else ()
     contests = ContestTable(table, taking_part, chosen, sites, tried)
-    without = {name: rest for name in chosen.effects if (rest := table.get(set(chosen.effects) - {name})) is not None}
+    without = {name: rest for name in chosen.effects if (rest := table.without(chosen, name)) is not None}
     rates = measure_false_names(contests, without, answer.signals, weighed.claims)
     nonsense = list_nonsense_sites(rates, chosen.model)
     return replace(weighed, rates=rates, grounds=replace(grounds, nonsense=nonsense))
@@ -439,7 +439,7 @@ def leave_out_small(table: FitTable, winner: FittedCandidate) -> FittedCandidate
         if effect.name not in winner.effects:
             continue
         for simpler in (others, *(others | {parent} for parent in effect.parents)):
-            rest = table.get(simpler)
+            rest = table.without(winner, effect.name) if simpler == others else table.get(simpler)
             sums, before = table.sums(winner), None if rest is None else table.sums(rest)
             if rest is None or sums is None or before is None:
                 continue

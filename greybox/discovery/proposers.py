@@ -57,7 +57,7 @@ def add_objections(search: EffectSearch, answer: FittedCandidate, signals: Seque
         (SearchStage.SHAPE_CORRECTION, answer, partial(list_shape_corrections, answer, signals))
     ]
     for effect in in_question:
-        rest = search.table.get(set(answer.effects) - {effect.name})
+        rest = search.table.without(answer, effect.name)
         if rest is None or is_shape_correction(effect.name):
             continue
         offers += [
@@ -117,7 +117,7 @@ def add_curves_in_place(search: EffectSearch, answer: FittedCandidate, name: str
 
     The most that anything without memory could do there, and the dearest objections: for an effect that all others have left standing.
     """
-    rest = search.table.get(set(answer.effects) - {name})
+    rest = search.table.without(answer, name)
     if rest is None:
         return
     propose = partial(add_free_forms, search, rest)

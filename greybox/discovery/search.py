@@ -201,7 +201,7 @@ class EffectSearch:
         if winner is self.baseline and not self._screened:
             return [self.baseline]
         most = MOST_EFFECTS
-        rests = [self.table.get(set(winner.effects) - {name}) for name in winner.effects if len(winner.effects) > 1]
+        rests = [self.table.without(winner, name) for name in winner.effects if len(winner.effects) > 1]
         ranked = sorted(self._best(3 * MOST_BASES), key=lambda fit: fit.noise_ratio)
         bases: dict[frozenset[str], FittedCandidate] = {}
         # Beside two effects the others come one at a time.
@@ -410,7 +410,7 @@ class EffectSearch:
         }
         starts: list[StartValues] = [{**kept, **{n: v for n, v in shared.items() if n in model.values}}]
         starts += generate_child_starting_points(model, relative, fit, effect, self.scales) if is_child else []
-        rest = self.table.get(set(fit.effects) - {effect.name}) or self.baseline
+        rest = self.table.without(fit, effect.name) or self.baseline
         starts += generate_starting_points(model, relative, fit, fit.model.without(effect.name), self.scales, (1.0,))
         starts = [{n: v for n, v in start.items() if n in model.values} for start in starts]
         return rest, self.problem.plan_refit(model, starts, 1, LOOK_ITERATIONS, fit, refines=False)
@@ -428,7 +428,7 @@ class EffectSearch:
         """What else may stand in the place of each effect of a set: nothing, and the most promising of the others."""
         self.table.add(chosen)
         self._drop_parts(chosen)
-        rests = [self.table.get(set(chosen.effects) - {name}) for name in chosen.effects]
+        rests = [self.table.without(chosen, name) for name in chosen.effects]
         self._add_promising([rest for rest in rests if rest is not None])
 
     def add_beside(self, promises: Iterable[tuple[FittedCandidate, EffectPromise]]) -> None:

@@ -163,9 +163,9 @@ class Draws:
 SetKey = frozenset[tuple[str, str, str]]
 
 
-def key_of(candidate: FittedCandidate) -> SetKey:
-    """What makes a set: names, places and equations of its effects; two curves have the same name."""
-    added = [b for b in candidate.model.bound_effects if b.effect.name not in candidate.given]
+def key_of(candidate: FittedCandidate, without: str = "") -> SetKey:
+    """What makes a set: names, places and equations of its effects, but for one; two curves, and two laws, have the same name."""
+    added = [b for b in candidate.model.bound_effects if b.effect.name not in (*candidate.given, without)]
     return frozenset((claimed_name(b.effect), b.site, b.effect.equation) for b in added)
 
 
@@ -206,6 +206,10 @@ class FitTable:
         """The fit of one set of effects of the catalogue, if it is there."""
         wanted = frozenset(effects)
         return next((fit for fit in self._sets.values() if frozenset(fit.effects) == wanted), None)
+
+    def without(self, candidate: FittedCandidate, name: str) -> FittedCandidate | None:
+        """The fit of a set without one of its effects, if it is there."""
+        return self._sets.get(key_of(candidate, name))
 
     @property
     def candidates(self) -> tuple[FittedCandidate, ...]:

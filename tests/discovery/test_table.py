@@ -11,8 +11,11 @@ from greybox.discovery.claims import Weights
 from greybox.discovery.holdout import HoldoutScores, ValidationSet
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.table import RIDGE, BlockSums, FitTable, FittedSet, _judge_draws, _keep_whole
+from greybox.model.effects.formula import formula_effect
+from greybox.model.signals import Parameter
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
+from tests.support.stage import STAGE
 
 
 def sums_of(jacobian, residual, blocks):
@@ -149,3 +152,25 @@ def test_sums_are_those_of_a_run_of_the_kernel(table):
     for k, output in enumerate(("x", "i")):
         of_run = np.nansum((run.traces[0].residual(output) / table.scores.problem.noise_std[output]) ** 2)
         assert sums.square[sums.is_judging, k].sum() == pytest.approx(of_run, rel=1e-6)
+
+
+def test_of_two_laws_each_is_what_is_left_without_the_other():
+    """Both effects are called a law; what they say is another thing."""
+
+    def law(name, formula):
+        return formula_effect(name, "force", formula, [Parameter("k", "N*s/m" if formula == "k*v" else "N/m", -1.0)])
+
+    def fitted(*laws):
+        model = STAGE
+        for k, formula in enumerate(laws):
+            model = model + law("law" if not k else "law_2", formula)
+        problem = SimpleNamespace(experiments=())
+        names = tuple(f"law_{k}" for k in range(len(laws)))
+        return SimpleNamespace(model=model, given=(), cost=1.0, noise_ratio=1.0, problem=problem, effects=names)
+
+    table = FitTable(SimpleNamespace(problem=SimpleNamespace(experiments=())))
+    both, of_speed, of_place = fitted("k*v", "k*x"), fitted("k*v"), fitted("k*x")
+    table.add(of_speed, of_place, both)
+    assert table.without(both, "law_2") is of_speed
+    assert table.without(both, "law") is of_place
+    assert table.without(of_place, "law") is None  # the plain model is not there
