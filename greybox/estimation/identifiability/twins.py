@@ -76,15 +76,15 @@ def find_twins(problem: EstimationProblem) -> tuple[Twin, ...]:
     v = problem.variables
     if not len(v.which) or (v.owner != SHARED).any() or not problem.model.has_equations or problem.model.noisy_states:
         return ()
-    alike = list_alike(v)
+    alike, system, records = list_alike(v), problem.model.system, problem.records
+    measured = np.any([np.isfinite(r.y).any(axis=0) for r in records], axis=0)
+    coefficients = _polynomials(system, tuple(np.flatnonzero(measured).tolist()), not v.initial.free.any())
+    if not coefficients and not list_changes(v, alike):
+        return ()
     base = spread_alike(v.base, alike)
     apart = _own_run(problem, v.with_values(dict(zip(v.names, base.tolist(), strict=True))))
     if not all(np.isfinite(y).any() for y in (r.y for r in apart.records)):
         return ()
-    system, records = problem.model.system, problem.records
-    measured = np.any([np.isfinite(r.y).any(axis=0) for r in records], axis=0)
-    at_rest = not problem.variables.initial.free.any()
-    coefficients = _polynomials(system, tuple(np.flatnonzero(measured).tolist()), at_rest)
     roots = find_roots(coefficients, apart.variables, alike) if coefficients else _try_exchanges(apart, alike)
     everything, twins, is_open = list(range(len(base))), list[Twin](), None
     for root in roots:
@@ -333,13 +333,18 @@ EXCHANGE_SAMPLES = 2000
 PROMISING = 0.05
 
 
+def list_changes(variables: DecisionVector, alike: Sequence[tuple[int, int]]) -> list[tuple[list[int], np.ndarray]]:
+    """Numbers of constants and the values that they may take instead: those ``alike`` in each other's place, or one of the other sign."""
+    base, low, high = variables.base, variables.low, variables.high
+    flips = [k for k in range(len(base)) if base[k] and low[k] <= -base[k] <= high[k]]
+    return [*(([i, j], base[[j, i]]) for i, j in alike), *(([k], -base[[k]]) for k in flips)]
+
+
 def _try_exchanges(problem: EstimationProblem, alike: list[tuple[int, int]]) -> Iterator[np.ndarray]:
     """Values (nf,) at which the run may be that of ``problem``: two constants in each other's place, or one of the other sign."""
     v = problem.variables
     beginning = replace(problem, records=tuple(r.first(EXCHANGE_SAMPLES * r.rows_per_sample) for r in problem.records))
-    flips = [k for k in range(len(v.base)) if v.base[k] and v.low[k] <= -v.base[k] <= v.high[k]]
-    changes = [*(([i, j], v.base[[j, i]]) for i, j in alike), *(([k], -v.base[[k]]) for k in flips)]
-    for held, values in changes[:MAX_EXCHANGES]:
+    for held, values in list_changes(v, alike)[:MAX_EXCHANGES]:
         begin = v.base.copy()
         begin[held] = values
         objective = _hold(beginning, begin, held)
