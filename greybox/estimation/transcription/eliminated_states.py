@@ -74,7 +74,7 @@ class ProjectedShooting:
         measured = find_measured_states(v)
         hidden = np.array([j not in measured for j in v.free_states])
         for e in range(v.experiments):
-            self._find_initial_state(z, e, self.states[e], along_constants=False)
+            self._find_initial_state(z, e, self.states[e])
             if e + 1 == v.experiments:
                 return
             if starts_record and starts_record[e + 1]:
@@ -117,13 +117,11 @@ class ProjectedShooting:
             self.variables, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts)
         )
 
-    def _find_initial_state(
-        self, z: np.ndarray, e: int, states: np.ndarray, along_constants: bool = True
-    ) -> _StateModel | None:
+    def _find_initial_state(self, z: np.ndarray, e: int, states: np.ndarray) -> _StateModel | None:
         """The best initial state of one record at ``z``, from ``states`` on; None where nothing can be simulated."""
         measured = int(np.isfinite(self.shooting.records[e].y).sum())
         test = Termination(PROJECTION_TERMINATION, self._low[e], self._high[e], measured).test
-        search = Minimisation(lambda s: self._model_states(z, e, s, along_constants), 1.0, test, None, MINIMISATION)
+        search = Minimisation(lambda s: self._model_states(z, e, s), 1.0, test, None, MINIMISATION)
         if not np.isfinite(search(states).cost):
             search.best_value = None
             if not np.isfinite(search(self.states[e]).cost):
@@ -134,15 +132,12 @@ class ProjectedShooting:
         assert isinstance(search.best_value, _StateModel)  # what `_model_states` returned
         return search.best_value
 
-    def _model_states(self, z: np.ndarray, e: int, states: np.ndarray, along_constants: bool) -> _StateModel:
-        """The cost of one record along its initial state; the sums ``along_constants`` as well, or along that state alone."""
+    def _model_states(self, z: np.ndarray, e: int, states: np.ndarray) -> _StateModel:
+        """The cost of one record along its initial state."""
         v, shooting, n = self.variables, self.shooting, len(self.shooting.views[e].constants)
         point = np.concatenate([z, np.zeros(v.size - self.size)])
         v.split(point).initial_states[e] = states
-        here = shooting.at(point, e)
-        if not along_constants:
-            here, n = here._replace(dq=here.dq[..., n:], dp=here.dp[:, n:], dx0=here.dx0[:, n:]), 0
-        sums = shooting.kernel.sums(shooting.records[e], here, shooting.weight, shooting.rows[e])
+        sums = shooting.kernel.sums(shooting.records[e], shooting.at(point, e), shooting.weight, shooting.rows[e])
         cost = float(sums.squares.sum()) if np.isfinite(sums.cost) else np.inf
         return _StateModel(cost, 2 * sums.gradient[n:], 2 * sums.gauss_newton[n:, n:], sums)
 
