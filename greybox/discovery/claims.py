@@ -599,6 +599,12 @@ def weigh_claim(claim: Claim) -> float:
     return min(to_probability(claim.depth, to_features(claim)), claim.frequency)
 
 
+def reweigh_claims(claims: Sequence[Claim], left: float) -> tuple[Claim, ...]:
+    """Claims where the share ``left`` of the rms error is no noise: constants of more records leave less, and draw no sets anew."""
+    changed = [replace(claim, left=left) for claim in claims]
+    return tuple(replace(claim, probability=weigh_claim(claim)) for claim in changed)
+
+
 class Features(NamedTuple):
     """What the map multiplies."""
 

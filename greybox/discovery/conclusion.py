@@ -20,6 +20,7 @@ from greybox.discovery.claims import (
     list_tied_sets,
     measure_share,
     name_claim,
+    reweigh_claims,
     weigh_claims,
 )
 from greybox.discovery.decision import Decision, Grade, Verdict, judge_test, make_check
@@ -44,6 +45,7 @@ from greybox.discovery.holdout import (
     compare_holdout_errors,
     finish_fit,
     measure_structure,
+    validate_candidate,
     worst_output,
 )
 from greybox.discovery.laws.search import propose_laws
@@ -89,10 +91,7 @@ def conclude(
     if of_laws is not None and (answer.is_open or not is_level_known(of_laws.noise_model)):
         answer = _add_law(answer, of_laws)
     answer = replace(answer, findings=findings)
-    # A model that follows the records no better than the plain one is not handed over: to finish it may cost as much as the search.
-    brief = _keep_if_better(answer, test)
-    answer = _keep_if_better(_finish_answer(brief if brief.rejected else answer), test)
-    answer = _hold_against_test(answer, test)
+    answer = _hold_against_test(_settle(answer, test), test)
     surrogate = _fit_stand_in(answer, test)
     return _describe(answer, surrogate, test)
 
@@ -176,6 +175,54 @@ def _look_for_laws(answer: SearchAnswer, problem: DiscoveryProblem) -> tuple[Sea
     selected = draws.sets[Weights.of(draws).leading].candidate if draws.sets else proposal.beside
     search.add_in_place(selected)
     return make_answer(search, selected), proposal.tried
+
+
+def _settle(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
+    """The answer with its constants: those of the estimation records; where these do not hold, of half the validation records as well.
+
+    They do not hold where they do no better than the plain model on the records that judge, or where with the others as much as half of the
+    error goes. The plain model is the answer where neither does better than it.
+    """
+    # A model that follows the records no better than the plain one is not handed over: to finish it may cost as much as the search.
+    brief = _keep_if_better(answer, test)
+    settled = _keep_if_better(_finish_answer(answer if brief.added else brief), test)
+    if not answer.added or (settled.added and settled.rest) or answer.problem.executor.is_late:
+        return settled
+    answer.search.on_message(str(Finding(DiscoveryCode.LEARNING_FROM_VALIDATION)))
+    learn = partial(_learn_from_validation, answer)
+    wider = answer.problem.failures.attempt(SearchStage.HOLDOUT, answer.candidate.effects, learn, None)
+    learnt = settled if wider is None else _keep_if_better(_finish_answer(wider), test)
+    if not (settled.added and learnt.added):
+        return learnt if learnt.added else settled
+    again = replace(
+        settled.best,
+        validation=learnt.validation.run(settled.best.model, settled.best.noise.std, learnt.problem.options),
+    )
+    before, after = _sum_up(compare_holdout_errors(again, learnt.best))
+    return learnt if after < (1 - PARTIAL_SHARE) * before else settled
+
+
+def _learn_from_validation(answer: SearchAnswer) -> SearchAnswer | None:
+    """The answer with constants of the first halves of the validation records too, the second halves judge; None where it fails there."""
+    first_halves, second_halves = answer.validation.halve()
+    problem = answer.scores.problem
+    wider = replace(problem, noise=problem.noise_model, experiments=(*problem.experiments, *first_halves))
+    fits = [wider.refit_best(c.model, [c.model.values, problem.model.values]) for c in (answer.plain, answer.candidate)]
+    if fits[0] is None or fits[1] is None:
+        return None
+    plain, candidate = fits[0], fits[1]
+    base, best = (validate_candidate(wider, each, second_halves) for each in (plain, candidate))
+    scores = HoldoutScores(wider, second_halves)
+    return replace(
+        answer,
+        scores=scores,
+        weighed=reweigh_claims(answer.weighed, measure_structure(scores, candidate, only_visible=True)),
+        plain=plain,
+        candidate=candidate,
+        base=base,
+        best=best,
+        findings=(*answer.findings, Finding(DiscoveryCode.LEARNT_FROM_VALIDATION)),
+    )
 
 
 def _finish_answer(answer: SearchAnswer) -> SearchAnswer:
@@ -464,7 +511,7 @@ def _hand_over(answer: SearchAnswer, winner: FittedCandidate) -> SearchAnswer:
 def _finish(answer: SearchAnswer, fit: Fit) -> tuple[Fit, tuple[Finding, ...]]:
     """A fit of the answer as one's own would end; with a word on it where another that begins there ends elsewhere, or fails."""
     problem, names = answer.problem, tuple(e.name for e in fit.model.effects)
-    finish = partial(finish_fit, problem, fit, answer.validation)
+    finish = partial(finish_fit, answer.scores.problem, fit, answer.validation)
     finished = problem.failures.attempt(SearchStage.HOLDOUT, names, finish, None)
     if finished is None:
         finished = RefitComparison(fit, is_settled=False)

@@ -178,6 +178,11 @@ class ValidationSet:
             return records
         return cls(as_records(records))
 
+    def halve(self) -> tuple[tuple[Experiment, ...], ValidationSet]:
+        """The first halves, to fit to as well, and the records of which the second halves count."""
+        half = min(record.rows for record in self.records) // 2
+        return tuple(record.window(0, half) for record in self.records), ValidationSet(self.records, half)
+
     @property
     def uncounted(self) -> int:
         """Rows at the start of each record that do not count."""

@@ -253,10 +253,8 @@ def discover(
         answer = _search(problem, listed.effects, scales, validation_set, policy, on_message, further)
         if not refits.is_late and _is_to_learn(answer):
             on_message(str(Finding(DiscoveryCode.LEARNING_FROM_VALIDATION)))
-            half = min(record.rows for record in validation_set.records) // 2
-            first_halves = tuple(record.window(0, half) for record in validation_set.records)
+            first_halves, second_halves = validation_set.halve()
             wider = replace(problem, experiments=(*problem.experiments, *first_halves))
-            second_halves = ValidationSet(validation_set.records, half)
             answer = _search(wider, listed.effects, scales, second_halves, policy, on_message, further)
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
         findings = (*findings, *unstable)

@@ -135,15 +135,8 @@ class _Order:
     def equal(self) -> list[int]:
         """The sets that do equally well: every effect with a name of the catalogue, and all that is established among them."""
         sets, shares = [s.candidate for s in self.draws.sets], self.shares
-        plain = min((s.sums.judged_error for s in self.draws.sets if not s.candidate.effects), default=math.inf)
         named = [
-            k
-            for k, c in enumerate(sets)
-            if c.effects
-            # Another one whose constants lead it astray on the records that judge would not be kept in the place of the answer.
-            and (c.names == self.answer.names or self.draws.sets[k].sums.judged_error < plain)
-            and not c.laws
-            and not any(map(is_shape_correction, c.effects))
+            k for k, c in enumerate(sets) if c.effects and not c.laws and not any(map(is_shape_correction, c.effects))
         ]
         established, probable = (
             {n for n, g in self.grades.items() if g is grade} for grade in (Grade.ESTABLISHED, Grade.PROBABLE)

@@ -191,9 +191,11 @@ def _list_curves(
         shown = signal.units.keys() if site.label in likeliest else usual
         variables = {name: (z, signal.units[name]) for name, z in signal.variables.items() if name in shown}
         for d in rank_dependences(signal.time, signal.value, variables):
-            own = site_label(SiteKind.INPUT, d.variable)
+            at_input = site_label(SiteKind.INPUT, d.variable)
             # What the sensors cannot tell from a curve of an input over itself is that.
-            if d.variable == TIME or (own != site.label and own in gains and gains[own] == gains[site.label]):
+            if d.variable == TIME or (
+                at_input != site.label and at_input in gains and gains[at_input] == gains[site.label]
+            ):
                 continue
             if site.label in likeliest and listed < FREE_VARIABLES:
                 listed += 1

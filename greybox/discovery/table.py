@@ -88,11 +88,6 @@ class BlockSums:
         squares, counts = (each[self.is_judging].sum(axis=0) for each in (self.square, self.count))
         return np.sqrt(np.divide(squares, counts, out=np.full(squares.shape, np.nan), where=counts > 0))
 
-    @property
-    def judged_error(self) -> float:
-        """The same of all outputs together."""
-        return float(np.sqrt(np.nanmean(self.judged_rms**2)))
-
     def refit(self, drawn: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """The steps (R, n) to the optimum of each resample: ``drawn`` (R, B) counts its blocks, ``weight`` (ny,) its outputs."""
         n = len(self.low)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 import greybox as gb
 from greybox.base.errors import DataError, FitError, ModelError
@@ -244,3 +245,30 @@ def test_a_third_record_takes_no_part_and_holds_the_answer_against_the_plain_mod
         places = [c for c in found.claims if c.depth is Depth.PLACE and c.grade is Grade.PROBABLE]
         assert any("sensor of y" in c.sites for c in places)
     assert len(quoted) == 1
+
+
+def test_constants_that_a_short_record_does_not_carry_are_learnt_from_half_of_the_other():
+    """A heater behind a slow sensor, stepped for a third of its time constant: the constants of that alone are worse than no sensor lag."""
+    gain, lag, sensor, noise = 1.5, 3.0, 0.8, 0.01
+
+    def record(name, seed, rows, u):
+        time = 0.1 * np.arange(rows)
+        _, y, _ = lsim(([gain], np.polymul([lag, 1], [sensor, 1])), u(time), time, interp=False)
+        read = y + noise * np.random.default_rng(seed).normal(size=rows)
+        return gb.Experiment(name, time, {"u": u(time)}, {"y": read})
+
+    found = gb.discover(
+        first_order(),
+        record("short", 0, 9, np.ones_like),
+        validation=record("long", 50, 240, lambda t: np.where(t % 8 < 3.95, 1.0, -1.0)),
+        noise={"y": noise},
+        effects=[gb.effect("sensor_lag"), gb.effect("input_offset")],
+        options=gb.FitOptions(at_rest=True),
+    )
+    assert [e["name"] for e in found.effects] == ["sensor_lag"]
+    assert len(with_code(found.findings, DiscoveryCode.LEARNT_FROM_VALIDATION)) == 1
+    constants = found.best.parameters
+    # The two lags may change places.
+    lags = sorted((constants["lag"].value, constants["tau_s"].value))
+    assert lags == pytest.approx([sensor, lag], rel=0.05)
+    assert found.holdout["y"].after < 1.5 * noise < 0.1 * found.holdout["y"].before

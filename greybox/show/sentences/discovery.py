@@ -571,8 +571,8 @@ register(
         ),
         DiscoveryCode.NO_LAW: "No equation among {terms} terms explains it.",
         # What a reader should know.
-        DiscoveryCode.LEARNT_FROM_VALIDATION: "the plain model follows the estimation records and not the validation records: the first"
-        " half of these was fitted as well, and their second half judges",
+        DiscoveryCode.LEARNT_FROM_VALIDATION: "the constants of the estimation records alone do not hold on the validation records: the"
+        " first half of these was fitted as well, and their second half judges",
         DiscoveryCode.ERRORS_GROW: lambda f: (
             "the plain model is unstable: an error grows by e^{exponent:.3g} over a record of {duration:.4g} s."
             + (
@@ -683,7 +683,8 @@ register(
         DiscoveryCode.FURTHER_EFFECT: lambda f: (
             f"{f.subject}: misfit {ratio_text(f.values['after'], f.values['bounded'])}"
         ),
-        DiscoveryCode.LEARNING_FROM_VALIDATION: "the plain model fails only on the validation records: the search uses their first half",
+        DiscoveryCode.LEARNING_FROM_VALIDATION: "the constants of the estimation records leave more than noise on the validation records:"
+        " those of the first half of these as well are tried",
     }
 )
 

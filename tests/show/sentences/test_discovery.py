@@ -170,8 +170,8 @@ FINDINGS = [
     (
         Code.LEARNT_FROM_VALIDATION,
         *("", {}),
-        "the plain model follows the estimation records and not the validation records: the first half of these was fitted as well,"
-        " and their second half judges",
+        "the constants of the estimation records alone do not hold on the validation records: the first half of these was fitted as"
+        " well, and their second half judges",
     ),
     (
         Code.ERRORS_GROW,
@@ -369,7 +369,8 @@ FINDINGS = [
     (
         Code.LEARNING_FROM_VALIDATION,
         *("", {}),
-        "the plain model fails only on the validation records: the search uses their first half",
+        "the constants of the estimation records leave more than noise on the validation records: those of the first half of these as well"
+        " are tried",
     ),
     (
         Code.EFFECTS_ESTABLISHED,
