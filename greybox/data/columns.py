@@ -200,6 +200,16 @@ class ColumnMatch:
         if signal is None or column is None or not len(arrays[column.position]):
             return self
         unit = find_stamp_unit(arrays[column.position])
+        if not unit and column.known is not UnitSource.TOLD:
+            seconds = self.conversions[signal](arrays[column.position])
+            if likely := find_likely_unit(seconds, stated=bool(column.unit)):
+                remedies = [
+                    _explain_mapping(signal, replace(column, unit=unit)) for unit in (likely, column.unit or "s")
+                ]
+                problems.append(
+                    f"column {shorten(column.header)!r}: taken for {column.unit or 's'} its rows are {measure_step(seconds):.4g} s"
+                    f" apart; if it is in {likely}, {remedies[0]}; if it is not, {remedies[1]}"
+                )
         if not unit or (column.unit and self.conversions[signal](np.nanmax(arrays[column.position])) <= STAMPS[1]):
             return self
         stamped = replace(column, unit=unit, known=UnitSource.SIZE)
@@ -244,6 +254,48 @@ def find_stamp_unit(values: np.ndarray) -> str:
         if len(known) and STAMPS[0] <= factor * known.min() and factor * known.max() <= STAMPS[1]:
             return unit
     return ""
+
+
+# A clock that counts days: its step is round in seconds of a day, and not in what it is taken for. Below this rate (Hz), and where the
+# rate is round (48 kHz), it may be a rate as well (144 Hz, ten minutes), unless its numbers are those of days of this half-century, as
+# Excel, modified Julian dates, MATLAB and Julian dates count them.
+DAY_RATE = 1000.0
+DAYS_SINCE = ((36526, 54789), (51544, 69808), (730486, 748749), (2451544, 2469808))
+DAY_SECONDS = 86400.0
+# Seconds of a century: no record lasts so long.
+CENTURY = 3.2e9
+
+
+def measure_step(time: np.ndarray) -> float:
+    """The mean step of a clock (N,) that is even, else its median step."""
+    steps = np.diff(time[np.isfinite(time)])
+    if not len(steps):
+        return 0.0
+    usual = float(np.median(steps))
+    is_even = bool(np.all(np.abs(steps - usual) < 0.01 * abs(usual)))
+    return float(np.mean(steps)) if is_even else usual
+
+
+def _is_round(number: float, digits: int) -> bool:
+    """Whether a number has so many significant digits, to a ten-thousandth of itself."""
+    return bool(number) and abs(float(f"{number:.{digits - 1}e}") / number - 1) < 1e-4
+
+
+def find_likely_unit(seconds: np.ndarray, *, stated: bool = False) -> str:
+    """The unit that a clock (N,) is likelier in than in seconds, for which it is taken; "" where seconds may be right.
+
+    ``stated``: the file says so itself; then only days, which no digit of it agrees with, are doubted.
+    """
+    known = seconds[np.isfinite(seconds)]
+    step = measure_step(seconds)
+    if len(known) < 3 or step <= 0:
+        return ""
+    if not stated and (years := (known[-1] - known[0]) / CENTURY) > 1:
+        return next((unit for unit, factor in (("ms", 1e-3), ("us", 1e-6)) if years * factor < 1e-3), "ns")
+    counts_dates = any(first <= known[0] and known[-1] <= last for first, last in DAYS_SINCE)
+    is_rate = step * DAY_RATE > 1 or _is_round(1 / step, 2)
+    is_part_of_day = _is_round(DAY_SECONDS * step, 2) and not _is_round(step, 3)
+    return "d" if is_part_of_day and (counts_dates or not is_rate) else ""
 
 
 def _is_same(unit: str, text: str) -> bool:

@@ -35,6 +35,7 @@ class RecordCode(StrEnum):
     PIECES_LEFT_OUT = "pieces_left_out"
     OUTPUT_NOT_MEASURED = "output_not_measured"
     UNITS_ASSUMED = "units_assumed"
+    MAY_BE_PER_CENT = "may_be_per_cent"
     UNITS_READ = "units_read"
     COLUMNS_IGNORED = "columns_ignored"
     CONDITION_READ = "condition_read"

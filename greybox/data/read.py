@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -357,6 +357,7 @@ def read_arrays(
         groups[signal.kind][signal.name] = values
         rows = len(values)
     raise_problems(file.path.name, problems)
+    findings += tuple(_find_per_cent(match, groups[SignalKind.INPUT]))
     time = sampling_time * np.arange(rows) if has_clock and sampling_time else groups[SignalKind.TIME][TIME]
     return RecordArrays(
         file,
@@ -515,6 +516,20 @@ def _cut_runs(
         (rows, time[rows], {n: v[rows] for n, v in inputs.items()}, {n: v[rows] for n, v in outputs.items()})
         for rows in parts
     ]
+
+
+# The largest values of an input without a unit that are likelier per cent than parts of one.
+PER_CENT = (20.0, 100.0)
+
+
+def _find_per_cent(match: ColumnMatch, inputs: Arrays) -> Iterator[Finding]:
+    """Inputs that are plain numbers in the model, of which the file states no unit, and whose values are those of per cent."""
+    for signal, column in match.columns.items():
+        if signal.name in inputs and signal.unit in ("", "-", "1") and not column.unit:
+            low, high = np.nanmin(inputs[signal.name]), np.nanmax(inputs[signal.name])
+            if low >= 0 and PER_CENT[0] < high <= PER_CENT[1]:
+                values = {"header": shorten(column.header), "largest": float(high)}
+                yield Finding(RecordCode.MAY_BE_PER_CENT, subject=signal.name, values=values)
 
 
 def _inspect_columns(match: ColumnMatch) -> list[Finding]:

@@ -113,7 +113,7 @@ class Stamps:
         header
             What a message calls the column.
         order
-            ``dd/mm/yyyy`` or ``mm/dd/yyyy``, where somebody says which number is the month; any other text says nothing.
+            ``dd/mm/yyyy`` or ``mm/dd/yyyy``, ``hh:mm`` or ``mm:ss``, where somebody says what a number is; any other text says nothing.
 
         Raises
         ------
@@ -122,6 +122,12 @@ class Stamps:
         """
         moments, day_first = self.nanoseconds, read_order(order)
         if self.swapped is not None:
+            if day_first is None and self.kind is StampKind.CLOCK:
+                raise DataError(
+                    f"column {shorten(header)!r}: is {self.example!r} hours:minutes or minutes:seconds? All its times can be read both"
+                    f" ways; say it as the unit of the time: columns={{'time [mm:ss]': {header!r}}} or 'time [hh:mm]' (shell: --column"
+                    f" 'time [mm:ss]={header}')"
+                )
             if day_first is None:
                 raise DataError(
                     f"column {shorten(header)!r}: is {self.example!r} day/month or month/day? All its dates can be read both ways; say it"
@@ -149,10 +155,10 @@ class Stamps:
 
 
 def read_order(text: str) -> bool | None:
-    """Whether ``dd/mm/yyyy`` puts the day first; None for a text that is no order of a date."""
+    """Whether ``dd/mm/yyyy`` puts the day first, or ``hh:mm`` hours; None for a text that is no order of a date or of a time of day."""
     # Letters once each, in their order: tt.mm.jjjj is German.
     letters = "".join(dict.fromkeys(c for c in text.lower() if c.isalpha()))
-    return {"dmy": True, "mdy": False, "tmj": True}.get(letters)
+    return {"dmy": True, "mdy": False, "tmj": True, "hm": True, "hms": True, "ms": False}.get(letters)
 
 
 # Summer time begins and ends on a Sunday between midnight and four, in spring and autumn of either half of the earth.
@@ -290,9 +296,15 @@ class StampReader:
         return wrong
 
     def finish(self) -> Stamps:
-        """The whole column, in the order of day and month that all of it can have."""
+        """The whole column, in the order of day and month, or of hours, minutes and seconds, that all of it can have."""
         first, second = (np.concatenate(blocks) for blocks in zip(*self._blocks, strict=True))
         kind, zoned = self._form or (StampKind.DATE, False)
+        if kind is StampKind.CLOCK and not np.array_equal(first, second):
+            whole = (first == second) & (first >= _HOUR) & (first != MISSING)
+            if whole.any():  # 59:59, then 1:00:00
+                return Stamps(second, kind, zoned)
+            if first[first != MISSING][0] >= _HOUR:  # a record in minutes and seconds begins near zero
+                return Stamps(first, kind, zoned)
         possible = [not (moments == _IMPOSSIBLE).any() for moments in (first, second)]
         if all(possible) and not np.array_equal(first, second):
             return Stamps(first, kind, zoned, second, self._example)
@@ -371,7 +383,11 @@ def _read_text(text: str) -> tuple[StampKind, bool, int, int] | None:
             return None
         nanoseconds -= ahead * 60 * SECOND
     if not match["date"]:
-        return _twice(StampKind.CLOCK, False, nanoseconds)
+        # 0:30 is half an hour, or half a minute.
+        is_short = (
+            bool(match["clock"]) and match["seconds"] is None and not (match["fraction"] or match["half"] or zone)
+        )
+        return StampKind.CLOCK, False, nanoseconds, nanoseconds // 60 if is_short else nanoseconds
     days = _read_date(match["date"])
     if days is None or days == (_NO_DAY, _NO_DAY):
         return None

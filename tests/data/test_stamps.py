@@ -308,6 +308,71 @@ def test_recordings_of_one_call_have_one_origin(tmp_path, kind):
     assert RecordCode.ORIGINS_APART in codes(unset)
 
 
+# Where a clock that counts days begins: Excel, the fraction of a day, MATLAB, Julian and modified Julian dates.
+@pytest.mark.parametrize("first", [45000.25, 0.0, 739000.5, 2460000.5, 60310.0])
+@pytest.mark.parametrize("header", ["time", "time [s]"])
+@pytest.mark.parametrize("step", [0.1, 1.0, 600.0])
+def test_a_clock_that_counts_days_is_asked_for_its_unit(tmp_path, first, header, step):
+    days = [f"{first + k * step / 86400:.11f}" for k in range(N)]
+    path = write_table(tmp_path / "run.csv", days, header)
+    if first == 0 and step == 600:  # 144 Hz as well as ten minutes
+        assert read_csv(path, LAG).time[1] == pytest.approx(1 / 144)
+        return
+    with pytest.raises(DataError, match=r"time \[d\]"):
+        read_csv(path, LAG)
+    told = read_csv(path, LAG, columns={"time [d]": header})
+    np.testing.assert_allclose(np.diff(told.time), step, rtol=1e-3)
+    np.testing.assert_allclose(np.diff(read_csv(path, LAG, columns={"time [s]": header}).time), step / 86400, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "rate", [10, 24, 48, 50, 60, 96, 120, 144, 240, 360, 864, 1000, 1024, 2000, 10000, 44100, 48000]
+)
+@pytest.mark.parametrize("first", [0.0, 3600.0])
+def test_a_usual_rate_is_asked_for_nothing(tmp_path, rate, first):
+    path = write_table(tmp_path / "run.csv", (f"{first + k / rate:.9f}" for k in range(N)))
+    np.testing.assert_allclose(np.diff(read_csv(path, LAG).time), 1 / rate, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("largest", "header", "is_said"), [(80, "u", True), (1, "u", False), (4096, "u", False), (80, "u [%]", False)]
+)
+def test_a_plain_number_that_may_be_per_cent_is_said(tmp_path, largest, header, is_said):
+    model = Model(
+        "valve",
+        states=[State("x", "V")],
+        inputs=[Input("u", "1")],
+        outputs=[Output("x", "V")],
+        parameters=[Parameter("tau", "s", 1.0, (1e-4, 1e4)), Parameter("g", "V", 1.0)],
+        balances=lambda x, u, p: [Balance("b", "V", p.tau, "x", drive=p.g * u.u, decay=-x.x)],
+    )
+    rows = [f"{k},{largest * u},{x:.6f}" for k, (u, x) in enumerate(zip(DRIVE, ANSWER, strict=True))]
+    (tmp_path / "run.csv").write_text("\n".join([f"time [s],{header},x [V]", *rows]), encoding="utf-8")
+    assert (RecordCode.MAY_BE_PER_CENT in codes(read_csv(tmp_path / "run.csv", model))) is is_said
+
+
+def test_a_record_of_centuries_is_asked_for_its_unit(tmp_path):
+    path = write_table(tmp_path / "run.csv", (k * 10**9 for k in range(N)), "t")
+    with pytest.raises(DataError, match=r"time \[us\]"):
+        read_csv(path, LAG)
+    assert read_csv(path, LAG, columns={"time [ns]": "t"}).time[1] == pytest.approx(1.0)
+
+
+def test_hours_or_minutes_in_front_of_a_colon_are_asked_where_both_are_possible(tmp_path):
+    def clock(seconds):
+        return f"{seconds // 60}:{seconds % 60:02d}"
+
+    path = write_table(tmp_path / "run.csv", (clock(7 * k) for k in range(N)))
+    with pytest.raises(DataError, match="hours:minutes or minutes:seconds"):
+        read_csv(path, LAG)
+    assert read_csv(path, LAG, columns={"time [mm:ss]": "time"}).time[-1] == 7 * (N - 1)
+    assert read_csv(path, LAG, columns={"time [hh:mm]": "time"}).time[-1] == 60 * 7 * (N - 1)
+    # A record of a day begins at any hour, and one of minutes and seconds near zero.
+    assert read_csv(write_table(tmp_path / "day.csv", (clock(600 + k) for k in range(N))), LAG).time[1] == 60
+    mixed = [clock(3590 + k) if k < 10 else f"1:00:{k - 10:02d}" for k in range(N)]
+    assert read_csv(write_table(tmp_path / "hour.csv", mixed), LAG).time.tolist() == list(range(N))
+
+
 def test_a_part_of_a_record_is_read(tmp_path):
     path = write_table(tmp_path / "run.csv", map(str, MOMENTS))
     whole = read_csv(path, LAG)

@@ -182,6 +182,10 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.UNITS_ASSUMED: lambda f: (
         f"the header gives no unit for {', '.join(f.values['units'])}: {', '.join(f.values['units'].values())} assumed"
     ),
+    RecordCode.MAY_BE_PER_CENT: lambda f: (
+        f"{f.subject} is a plain number in the model, its header states no unit, and it reaches {f.values['largest']:.4g}: taken as it"
+        f" stands; if it is per cent, say so (shell: --column {to_word(f.subject + ' [%]=' + f.values['header'])})"
+    ),
     RecordCode.UNITS_READ: lambda f: (
         "units: "
         + "; ".join(

@@ -215,6 +215,12 @@ GOLDEN = {
         {"outputs": ["x", "w"], "columns": {"w": "speed [1/min]"}},
         "not measured: output 'x' and 'w'; is 'speed [1/min]' w, whose unit it has? (shell: --column 'w=speed [1/min]')",
     ),
+    RecordCode.MAY_BE_PER_CENT: (
+        "u",
+        {"header": "u", "largest": 80.0},
+        "u is a plain number in the model, its header states no unit, and it reaches 80: taken as it stands; if it is per cent, say so"
+        " (shell: --column 'u [%]=u')",
+    ),
     RecordCode.UNITS_ASSUMED: (
         "",
         {"units": {"time": "s", "x": "m"}},
