@@ -506,3 +506,14 @@ def test_a_compiler_ends_with_the_process_that_has_asked(tmp_path, ending):
     subprocess.run([sys.executable, "-c", script], timeout=100, check=False)
     pid = int((tmp_path / "pid").read_text())
     assert_ends(pid)
+
+
+@pytest.mark.skipif(not hasattr(os, "getloadavg"), reason="the system does not say how busy it is")
+def test_the_time_of_a_compiler_is_that_of_an_idle_processor(monkeypatch):
+    """Ten programs on each processor give it ten times as long."""
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(os, "getloadavg", lambda: (20.0, 20.0, 20.0))
+    assert compiling.run_compiler(["sleep", "0.4"], timeout=0.1, is_background=True).returncode == 0
+    monkeypatch.setattr(os, "getloadavg", lambda: (0.1, 0.1, 0.1))
+    with pytest.raises(compiling.CompilerBudgetError, match="took more than"):
+        compiling.run_compiler(["sleep", "0.4"], timeout=0.1, is_background=True)
