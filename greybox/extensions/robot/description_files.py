@@ -103,7 +103,7 @@ def _numbers(element: Element | None, name: str, default: Sequence[float], owner
 
 def _number(element: Element | None, name: str, default: float, owner: str = "") -> float:
     """A number; the default, which may be infinite, where it is not stated."""
-    return default if element is None or element.get(name) is None else float(_numbers(element, name, [0], owner)[0])
+    return float(_numbers(element, name, [default], owner)[0])
 
 
 def _unit(axis: np.ndarray, owner: str) -> np.ndarray:
@@ -289,9 +289,8 @@ class _MjcfReader:
                 joint, at, zero = self._read_joint(stated, name, f"{name}.{number}", class_name)
                 # The joint turns the body about a point of it: a frame there, and back to the body's own.
                 turned, shifted = move_joint(joint, -zero)
-                yield Body(
-                    joint.link, carrier, rotation @ turned, origin + rotation @ (at + shifted), np.zeros(10), joint
-                )
+                place = origin + rotation @ (at + shifted)
+                yield Body(joint.link, carrier, rotation @ turned, place, np.zeros(10), joint)
                 carrier, rotation, origin, is_moved = joint.link, np.eye(3), -at, True
             inertial = self._inertial(element, name) if is_moved else np.zeros(10)
             yield Body(name, carrier, rotation, origin, inertial, None)
@@ -301,9 +300,8 @@ class _MjcfReader:
         """A joint, its place (3,) in the body, and its position where the body stands as the file draws it."""
         class_name = element.get("class", class_name)
         if class_name not in self.defaults:
-            raise ModelError(
-                f"body {body!r}: there is no default class {class_name!r}; {nearest(class_name, self.defaults)}"
-            )
+            near = nearest(class_name, self.defaults)
+            raise ModelError(f"body {body!r}: there is no default class {class_name!r}; {near}")
         element = Element("joint", {**self.defaults[class_name], **element.attrib})
         name, kind = element.get("name") or link, element.get("type", "hinge")
         if kind not in MJCF_MOVING:
@@ -346,9 +344,8 @@ class _MjcfReader:
         """Rotation (3, 3) of an element, whichever of the five ways states it."""
         if element.get("quat") is not None:
             # The scalar stands first here, and last there.
-            return np.asarray(
-                Rotation.from_quat(np.roll(_numbers(element, "quat", (1, 0, 0, 0), owner), -1)).as_matrix()
-            )
+            scalar_last = np.roll(_numbers(element, "quat", (1, 0, 0, 0), owner), -1)
+            return np.asarray(Rotation.from_quat(scalar_last).as_matrix())
         if element.get("axisangle") is not None:
             stated = _numbers(element, "axisangle", (0, 0, 1, 0), owner)
             return rotate_about(_unit(stated[:3], owner), stated[3] * self.angle)
@@ -360,9 +357,8 @@ class _MjcfReader:
             return np.column_stack([x, y, np.cross(x, y)])
         if element.get("zaxis") is not None:
             # The least turn that takes the vertical there.
-            return np.asarray(
-                Rotation.align_vectors([_numbers(element, "zaxis", (0, 0, 1), owner)], [[0, 0, 1]])[0].as_matrix()
-            )
+            turn, _ = Rotation.align_vectors([_numbers(element, "zaxis", (0, 0, 1), owner)], [[0, 0, 1]])
+            return np.asarray(turn.as_matrix())
         # Small letters are axes that turn along, capital ones those that stand still: the other way round there.
         angles = _numbers(element, "euler", (0, 0, 0), owner) * self.angle
         return np.asarray(Rotation.from_euler(self.euler.swapcase(), angles).as_matrix())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from greybox.base import Finding, format_unit
 from greybox.base import document as doc
 from greybox.base.figure import Axis, Curve, Figure, Panel, Points, Role, Scale, Thinning
 from greybox.discovery.decision import Grade
-from greybox.extensions.robot.result import BaseEstimate, JointEffect, RigidVerdict, RobotCode, RobotIdentification
+from greybox.extensions.robot.result import JointEffect, RigidVerdict, RobotCode, RobotIdentification
 from greybox.extensions.robot.table import KINDS
 from greybox.show.documents.tables import provenance_section, worst_first
 from greybox.show.figures.figure import typeset_unit
@@ -143,34 +143,24 @@ def plot_torques(identified: RobotIdentification) -> Figure:
             for torque, (label, role) in zip(identified.torques, labels, strict=True)
         ]
         panels.append(Panel(joint.joint, tuple(curves), Axis("time", "s"), Axis(joint.joint, typeset_unit(joint.unit))))
-    return Figure(
-        "torques",
-        tuple(panels),
-        "Each torque as measured, that of the rigid bodies, and with all effects, where the joint moves.",
-    )
+    caption = "Each torque as measured, that of the rigid bodies, and with all effects, where the joint moves."
+    return Figure("torques", tuple(panels), caption)
 
 
 def plot_base_parameters(identified: RobotIdentification) -> Figure:
     """Each base parameter with its 95 % interval beside the description, kind by kind."""
-    panels = [
-        _panel(unit, [b for b in identified.base if b.unit == unit])
-        for unit in dict.fromkeys(b.unit for b in identified.base)
-    ]
-    return Figure(
-        "base_parameters",
-        tuple(panels),
-        "The base parameters with their 95 % intervals, and what the description says.",
-    )
-
-
-def _panel(unit: str, each: Sequence[BaseEstimate]) -> Panel:
-    names = [b.name for b in each]
-    bars = np.array([(b.interval[1] - b.interval[0]) / 2 for b in each])
-    series = (
-        Points(names, np.array([b.described for b in each]), Role.BASELINE, "described", size=7, hollow=True),
-        Points(names, np.array([b.value for b in each]), Role.EXTENDED, "identified", size=5, half_bars=bars),
-    )
-    return Panel(unit, series, Axis(scale=Scale.CATEGORY), Axis("base parameter", typeset_unit(unit.replace(" ", "*"))))
+    panels = []
+    for unit in dict.fromkeys(b.unit for b in identified.base):
+        each = [b for b in identified.base if b.unit == unit]
+        names, bars = [b.name for b in each], np.array([(b.interval[1] - b.interval[0]) / 2 for b in each])
+        series = (
+            Points(names, np.array([b.described for b in each]), Role.BASELINE, "described", size=7, hollow=True),
+            Points(names, np.array([b.value for b in each]), Role.EXTENDED, "identified", size=5, half_bars=bars),
+        )
+        axis = Axis("base parameter", typeset_unit(unit.replace(" ", "*")))
+        panels.append(Panel(unit, series, Axis(scale=Scale.CATEGORY), axis))
+    caption = "The base parameters with their 95 % intervals, and what the description says."
+    return Figure("base_parameters", tuple(panels), caption)
 
 
 DOCUMENTS = {"RobotIdentification": describe_robot}
