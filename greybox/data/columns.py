@@ -227,7 +227,7 @@ class ColumnMatch:
         """Header, unit and reason of each column whose unit was read otherwise than it is written."""
         readings = []
         for signal, column in self.columns.items():
-            unit = read_notation(column.unit, signal.unit)
+            unit = read_notation(column.unit, signal.unit, is_told=column.known is UnitSource.TOLD)
             stated = parse_header(column.header, 0).unit
             if column.known is UnitSource.TOLD and stated not in ("", column.unit):
                 reason = "told"
@@ -535,12 +535,14 @@ def _find_conversion(column: Column, signal: RequestedSignal, are_named: bool, p
     if not column.unit:
         return as_it_is
     try:
-        return read_conversion(column.unit, signal.unit)
+        return read_conversion(column.unit, signal.unit, is_told=column.known is UnitSource.TOLD)
     except ModelError as error:
-        how = _explain_mapping(signal, replace(column, unit=signal.unit or "1"), are_named)
+        how, count = _explain_mapping(signal, replace(column, unit=signal.unit or "1"), are_named), ""
+        if converts(column.unit, signal.unit, is_told=True):
+            count = f"; if that is one count, {_explain_mapping(signal, column, are_named)}"
         problems.append(
             f"column {shorten(column.header)!r} in {shorten(column.unit)} does not convert to {signal.label}: {error}; to take its"
-            f" numbers as {signal.unit or 1}, {how}"
+            f" numbers as {signal.unit or 1}, {how}{count}"
         )
         return as_it_is
 
@@ -646,8 +648,8 @@ def _find_called(signal: RequestedSignal, spare: Sequence[Column]) -> list[Colum
 
 
 def _find_of_unit(signal: RequestedSignal, spare: Sequence[Column]) -> list[Column]:
-    """The only column of a unit that converts to the signal's; none where there are several."""
-    hits = [c for c in spare if c.unit and converts(c.unit, signal.unit)]
+    """The only column of a unit, stated or at the end of its name, that converts to the signal's; none where there are several."""
+    hits = [c for c in spare if any(r.unit and converts(r.unit, signal.unit) for r in (c, *read_endings(c)))]
     return hits if len(hits) == 1 else []
 
 
@@ -655,7 +657,7 @@ def _explain_mapping(signal: RequestedSignal, column: Column | None = None, are_
     """How to choose a column by hand, in Python and in the shell; with the unit of the ``column`` where one is to be stated."""
     if column is None:
         return f"set columns={{{signal.name!r}: <header>}} (shell: --column {signal.name}=<header>)"
-    unit = read_notation(column.unit, signal.unit)
+    unit = read_notation(column.unit, signal.unit, is_told=True)
     key, header = f"{signal.name} [{unit}]", shorten(column.header)
     if are_named:
         return f"write {key!r} for {header!r} in columns (shell: --columns)"

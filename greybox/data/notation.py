@@ -92,8 +92,12 @@ _SYMBOL = re.compile(r"(?P<word>°?[^\W\d_]+|°|%|‰)(?:\^(?P<power>-?\d)|(?P<b
 _BY_DIMENSION = {parse_unit("K").dimensions: {"C": "degC", "F": "degF"}, parse_unit("m/s^2").dimensions: {"g": "g_0"}}
 
 
+# A number beside these (12 bit) is a resolution, whoever says it.
+BITS = frozenset((COUNT, "bit", "byte", "B"))
+
+
 @lru_cache(maxsize=4096)
-def read_notation(text: str, target: str = "") -> str:
+def read_notation(text: str, target: str = "", *, is_told: bool = False) -> str:
     """The unit that a logger's text stands for.
 
     Parameters
@@ -102,6 +106,8 @@ def read_notation(text: str, target: str = "") -> str:
         As a header, an attribute or a row of units has it.
     target
         Unit of the signal that it is read for: ``C`` is a degree Celsius for one in K.
+    is_told
+        Whether a person says that this is what one count stands for: ``turn/2048``, ``10 ms``.
 
     Returns
     -------
@@ -132,7 +138,8 @@ def read_notation(text: str, target: str = "") -> str:
         return COUNT
     absolute = _ABSOLUTE.fullmatch(plain)
     unit = absolute["unit"] if absolute else _spell(plain)
-    if parse_powers(unit)[0] != 1.0:
+    number, powers = parse_powers(unit)
+    if number != 1.0 and (not is_told or has_zero_point(unit) or BITS.intersection(powers)):
         raise UnitError(f"unit {plain!r}: the number in it may be a range or a resolution")
     if not is_unit(unit):
         parse_unit(unit)  # which says what is wrong with it
@@ -188,15 +195,15 @@ def is_notation(text: str) -> bool:
     return True
 
 
-def read_conversion(text: str, target: str) -> Conversion:
-    """How numbers in the unit that a logger writes become those of ``target``. Raises ModelError."""
-    return unit_converter(read_notation(text, target), target)
+def read_conversion(text: str, target: str, *, is_told: bool = False) -> Conversion:
+    """How numbers in the unit that a logger writes, or a person has said, become those of ``target``. Raises ModelError."""
+    return unit_converter(read_notation(text, target, is_told=is_told), target)
 
 
-def converts(text: str, target: str) -> bool:
+def converts(text: str, target: str, *, is_told: bool = False) -> bool:
     """Whether there is such a conversion."""
     try:
-        read_conversion(text, target)
+        read_conversion(text, target, is_told=is_told)
     except ModelError:
         return False
     return True

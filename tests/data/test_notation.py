@@ -143,6 +143,27 @@ def test_what_has_several_meanings_is_refused(text, unit, rule):
         read_conversion(text, unit)
 
 
+@pytest.mark.parametrize(
+    ("text", "target", "one"),
+    [
+        ("turn/2048", "rad", 2 * np.pi / 2048),
+        ("10 ms", "s", 0.01),
+        ("bar/65536", "Pa", 1e5 / 65536),
+        ("0.25*mm", "m", 2.5e-4),
+    ],
+)
+def test_a_number_in_a_unit_is_what_one_count_stands_for_only_where_it_is_told(text, target, one):
+    assert read_conversion(text, target, is_told=True)(np.array([1.0, 3.0])) == pytest.approx([one, 3 * one])
+    with pytest.raises(ModelError, match="range or a resolution"):
+        read_conversion(text, target)
+
+
+@pytest.mark.parametrize(("text", "target"), [("12 bit", "1"), ("0.1 degC", "K"), ("8bits", "1")])
+def test_bits_and_counts_from_another_zero_are_refused_whoever_says_them(text, target):
+    with pytest.raises(ModelError):
+        read_conversion(text, target, is_told=True)
+
+
 def test_what_is_taken_for_granted_is_said():
     notes = {text: read_conversion(text, "rad/s").note for text in ("1/min", "Hz", "rpm", "deg/s")}
     assert notes == {"1/min": Note.TURNS, "Hz": Note.TURNS, "rpm": Note.NONE, "deg/s": Note.NONE}
