@@ -208,7 +208,8 @@ class _RecordRun:
         block = np.zeros((max(len(h), len(a)), 2 * n, 2 * n))
         block[:, :n, :n] = a * h[:, None, None]
         block[:, :n, n:] = np.eye(n) * h[:, None, None]
-        exponential = expm(block)
+        with np.errstate(over="ignore", invalid="ignore"):
+            exponential = expm(block)
         phi, gamma = exponential[:, :n, :n], exponential[:, :n, n:]
         if self.system.dry:
             phi, gamma = (np.broadcast_to(m, (len(x) - 1, n, n)).copy() for m in (phi, gamma))
@@ -245,10 +246,11 @@ class _RecordRun:
         phi, gamma, c = self._linear
         rates = np.stack([rate for rate, _ in signals], axis=2)  # (R-1, nx, K)
         outputs = np.stack([output for _, output in signals], axis=2)
-        pushed = np.matmul(gamma, rates)
         states = np.zeros((len(self.x), *rates.shape[1:]))
         constant = len(phi) == 1
+        # What runs away promises nothing (`promise_decrease`).
         with np.errstate(over="ignore", invalid="ignore"):
+            pushed = np.matmul(gamma, rates)
             for k in range(len(pushed)):
                 states[k + 1] = phi[0 if constant else k] @ states[k] + pushed[k]
             response = np.matmul(c, states) + outputs

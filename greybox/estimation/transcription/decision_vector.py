@@ -464,12 +464,14 @@ class DecisionVector:
     def rescale(self, cost: float, curvature: np.ndarray) -> DecisionVector:
         """Linear scales chosen so that a step of one in ``z`` changes the cost by about itself.
 
-        ``curvature`` (size,) is the diagonal of the Gauss-Newton matrix at ``z = 0``. Entries without influence keep their scale.
+        ``curvature`` (size,) is the diagonal of the Gauss-Newton matrix at ``z = 0``. Entries without influence keep their scale, and so
+        do those whose influence is lost in rounding: along these each scale would be larger than the last, without end.
         """
+        seen = curvature > np.finfo(float).eps ** 2 * curvature.max(initial=0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             # cost = c z^2 for a step of sqrt(cost / c) in the old z: that is one in the new.
             factor = np.sqrt(cost / curvature)
-        factor = np.where(np.isfinite(factor) & (factor > 0), factor, 1.0)
+        factor = np.where(seen & np.isfinite(factor) & (factor > 0), factor, 1.0)
         parts = self.split(factor)
         scale = np.where(self.logarithmic, self.scale, self.scale * parts.parameters)
         states = self.initial.scale.copy()
