@@ -319,7 +319,7 @@ class Model(Printable):
         had, lacked = ([n for n in of if n not in (*has, *lacks)] for of in (self.has, self.lacks))
         return replace(self, has=(*had, *has), lacks=(*lacked, *lacks))
 
-    def fix(self, *names: str, **values: float) -> Model:
+    def fix(self, /, *names: str, **values: float) -> Model:
         """The model with parameters that are known, so that a fit leaves them as they are.
 
         Parameters
@@ -351,7 +351,7 @@ class Model(Printable):
         """The model with the named parameters free: a fit may change them. Raises ModelError for an unknown name."""
         return self._with_changes({n: {"fixed": False} for n in names})
 
-    def start(self, **values: float) -> Model:
+    def start(self, /, **values: float) -> Model:
         """The model with other values of its parameters.
 
         A fit starts from them and `simulate` uses them; what is fixed or free stays as it is.
@@ -377,7 +377,7 @@ class Model(Printable):
         """
         return self._with_changes({n: {"value": v} for n, v in values.items()})
 
-    def bound(self, **bounds: tuple[float, float]) -> Model:
+    def bound(self, /, **bounds: tuple[float, float]) -> Model:
         """The model with other physical bounds of its parameters.
 
         Parameters
@@ -401,7 +401,7 @@ class Model(Printable):
         """
         return self._with_changes({n: {"bounds": b} for n, b in bounds.items()})
 
-    def with_process_noise(self, *estimated: str, **known: float | str) -> Model:
+    def with_process_noise(self, /, *estimated: str, **known: float | str) -> Model:
         """The model with random pushes on some of its states, in the place of what these had.
 
         Parameters
@@ -455,7 +455,7 @@ class Model(Printable):
             effects.append(replace(b.effect, states=tuple(states_of_effect)))
         return replace(self, states=plant, parameters=(*self.parameters, *added), effects=tuple(effects))
 
-    def prior(self, **priors: tuple[float, float] | None) -> Model:
+    def prior(self, /, **priors: tuple[float, float] | None) -> Model:
         """The model with priors of its parameters.
 
         A fit starts at the mean, and weighs each prior as one more measurement (maximum a posteriori). It says where the records contradict

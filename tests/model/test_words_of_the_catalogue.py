@@ -135,3 +135,19 @@ def test_a_balance_without_terms_is_a_random_walk_and_nothing_else():
         assert "dw pushes d" in text
     with pytest.raises(ModelError, match="balance 'drift' has no terms"):
         walk(0.0)
+
+
+@pytest.mark.parametrize("name", ["self", "model", "values", "bounds", "estimated"])
+def test_a_constant_may_have_the_name_of_an_argument(name):
+    model = Model(
+        "lag",
+        [State("x", "m")],
+        [Input("u", "m")],
+        [Output("x", "m")],
+        [Parameter(name, "s", 1.0, (1e-3, 1e3))],
+        lambda x, u, p: [Balance("lag", "m", getattr(p, name), "x", drive=u.u, decay=-x.x)],
+    )
+    assert model.start(**{name: 2.0}).values[name] == 2.0
+    assert model.bound(**{name: (0.1, 5.0)}).all_parameters[0].bounds == (0.1, 5.0)
+    assert model.fix(**{name: 3.0}).values[name] == 3.0
+    assert model.prior(**{name: (1.3, 0.1)}).all_parameters[0].prior is not None
