@@ -247,6 +247,7 @@ def test_a_third_record_takes_no_part_and_holds_the_answer_against_the_plain_mod
     assert len(quoted) == 1
 
 
+@pytest.mark.rest
 def test_constants_that_a_short_record_does_not_carry_are_learnt_from_half_of_the_other():
     """A heater behind a slow sensor, stepped for a third of its time constant: the constants of that alone are worse than no sensor lag."""
     gain, lag, sensor, noise = 1.5, 3.0, 0.8, 0.01

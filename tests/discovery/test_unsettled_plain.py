@@ -24,6 +24,7 @@ def make_record(seed):
     return simulate_twin(model, {model.inputs[0].name: drive}, 0.05, NOISE, seed, name=f"record {seed}")
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("settled", [True, False])
 def test_a_fit_that_has_not_settled_is_not_complete(settled, monkeypatch):
     moved = [{"output": "y", "records": "estimation", "before": 0.01, "after": 0.02, "unit": ""}]
