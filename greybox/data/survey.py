@@ -25,7 +25,7 @@ from greybox.base import (
     parse_unit,
 )
 from greybox.data import array_table, channels, file_kinds, policy, sampling, sensor_faults
-from greybox.data.columns import find_dated_time, find_stamp_unit
+from greybox.data.columns import find_dated_time, find_likely_unit, find_stamp_unit, measure_step
 from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME, Column, UnitSource, parse_header, read_endings, read_time
 from greybox.data.notation import COUNT, converts, read_conversion, read_notation
@@ -217,6 +217,13 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, rena
         time = read_conversion(unit, "s")(counted) if unit and converts(unit, "s") else counted
         if find_stamp_unit(time) == "s":
             stamps[clock.position] = from_epoch(time)
+        elif clock.position not in stamps and (likely := find_likely_unit(time, stated=bool(clock.unit))):
+            columns[clock.position] = clock = replace(clock, unit=likely)
+            reason = (
+                f"its rows would be {measure_step(time):.4g} s apart: it is looked at in {likely}, which a fit asks for"
+            )
+            findings.append(Finding(RecordCode.TIME_UNUSABLE, Severity.WARNING, clock.header, {"reason": reason}))
+            time = read_conversion(likely, "s")(counted)
     if clock is not None and clock.position in stamps:
         try:
             time, _, seen = stamps[clock.position].count_seconds(clock.header, clock.unit)

@@ -320,6 +320,7 @@ def test_a_clock_that_counts_days_is_asked_for_its_unit(tmp_path, first, header,
         return
     with pytest.raises(DataError, match=r"time \[d\]"):
         read_csv(path, LAG)
+    assert RecordCode.TIME_UNUSABLE in {f.code for f in survey_file(path).findings}
     told = read_csv(path, LAG, columns={"time [d]": header})
     np.testing.assert_allclose(np.diff(told.time), step, rtol=1e-3)
     np.testing.assert_allclose(np.diff(read_csv(path, LAG, columns={"time [s]": header}).time), step / 86400, rtol=1e-3)
