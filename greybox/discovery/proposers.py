@@ -164,7 +164,9 @@ def add_free_forms(search: EffectSearch, base: FittedCandidate) -> None:
         effect, place = promise.effect, place_of[id(promise.effect)]
         key = key_of(base) | {(effect.name, effect.site, effect.equation)}
         is_static = effect.name == CURVE and place.dependence.variable != TIME
-        full = sum(search.places[k].dependence.variable != TIME for k in chosen) >= MOST_CURVES
+        kinds = [search.places[k].site.kind for k in chosen if search.places[k].dependence.variable != TIME]
+        # The best at an input, at a balance and at a sensor each: what a step promises in the records says little beyond their range.
+        full = len(kinds) >= MOST_CURVES and place.site.kind in kinds
         if key not in search.places and not (is_static and full):
             search.places[key], chosen[key] = place, promise
     search.add_beside((base, promise) for promise in chosen.values())
