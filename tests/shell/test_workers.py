@@ -143,9 +143,12 @@ SHARED = {
 @pytest.mark.parametrize("work", SHARED)
 def test_a_cluster_gives_what_one_process_gives(record, reference, tmp_path, work):
     files = {"record": record, "short": reference.parent / "record.csv"}
-    for original, copy in (("record", "other"), ("short", "again")):  # a record does not validate itself
-        files[copy] = tmp_path / f"{copy}.csv"
-        files[copy].write_bytes(files[original].read_bytes())
+    for whole, part in (("record", "other"), ("short", "again")):  # a record does not validate itself: half of it each
+        (head, *rows), half = files[whole].read_text().splitlines(keepends=True), tmp_path / f"{whole}.csv"
+        files[part] = tmp_path / f"{part}.csv"
+        half.write_text("".join([head, *rows[: len(rows) // 2]]))
+        files[part].write_text("".join([head, *rows[len(rows) // 2 :]]))
+        files[whole] = half
     answers = []
     for number, place in enumerate(("--workers 1", "--workers 2 --cluster local")):
         out = tmp_path / str(number)
