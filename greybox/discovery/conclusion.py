@@ -221,7 +221,7 @@ def _learn_from_validation(answer: SearchAnswer) -> SearchAnswer | None:
         candidate=candidate,
         base=base,
         best=best,
-        findings=(*answer.findings, Finding(DiscoveryCode.LEARNT_FROM_VALIDATION)),
+        findings=(Finding(DiscoveryCode.LEARNT_FROM_VALIDATION, Severity.WARNING), *answer.findings),
     )
 
 
@@ -300,7 +300,9 @@ def _hold_against_test(answer: SearchAnswer, test: ValidationSet) -> SearchAnswe
 
 def _fit_stand_in(answer: SearchAnswer, test: ValidationSet) -> Surrogate | None:
     """A curve in the place of what has no name: not where a probable effect is said, nor where the plain model does as well."""
-    if not answer.is_nameless:
+    # The sets of the table are fitted to fewer records than an answer that learnt from those that judge: none of them stands beside it.
+    has_learnt = len(answer.scores.problem.experiments) > len(answer.problem.experiments)
+    if not answer.is_nameless or has_learnt:
         return None
     problem, represent = answer.problem, partial(fit_stand_in, answer)
     surrogate: Surrogate | None = problem.failures.attempt(

@@ -256,7 +256,7 @@ def discover(
             first_halves, second_halves = validation_set.halve()
             wider = replace(problem, experiments=(*problem.experiments, *first_halves))
             answer = _search(wider, listed.effects, scales, second_halves, policy, on_message, further)
-            findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
+            findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION, Severity.WARNING),)
         findings = (*findings, *unstable)
         result = conclude(answer, test_set, findings, problem if laws else None)
         if stuck := find_stuck_start(problem.baseline, result.base):
