@@ -10,6 +10,7 @@ from greybox.base import Severity
 from greybox.base import document as doc
 from greybox.base.json_shape import to_values
 from greybox.base.numerics import TINY
+from greybox.base.values import with_code
 from greybox.discovery.claims import Depth, name_claim
 from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.findings import DiscoveryCode
@@ -108,18 +109,24 @@ def _sets_table(discovery: Discovery, most: int | None = None) -> doc.TableBlock
         rows.append([" + ".join(r.effects), str(r.constants), *cells, str(r.occurrence)])
     head = ["effects", "constants", f"error in {output}", "taken away", "on such rigs"]
     note = "Errors are those on the validation records, with the constants that the estimation records gave."
+    if with_code(discovery.findings, DiscoveryCode.LEARNT_FROM_VALIDATION):
+        note = (
+            note[:-1]
+            + "; of the answer and of none those on the second half, with the constants of the first half as well."
+        )
     return doc.TableBlock("Sets of effects", head, rows, note)
 
 
 def _notes(d: Discovery) -> Iterator[doc.Text]:
     """What the answer leaves out, the next step, what to know of the records."""
-    # What the rig has decides the name: the order and the question come before what is left.
-    of_rig = (DiscoveryCode.USUAL_FIRST, DiscoveryCode.ASK_PART)
-    yield from (f for f in (*d.conclusion, *d.next_steps) if f.code in of_rig)
+    # What the rig has decides the name, and what was fitted the constants: these come before what is left.
+    first = (DiscoveryCode.USUAL_FIRST, DiscoveryCode.ASK_PART, DiscoveryCode.LEARNT_FROM_VALIDATION)
+    yield from (f for f in (*d.conclusion, *d.next_steps, *d.findings) if f.code in first)
     # By how much the errors fall stands with the answer and in the details.
-    yield from [f for f in d.conclusion if f.code not in (*of_rig, DiscoveryCode.ERROR_REDUCED)][1:]
-    yield from (f for f in tables.worst_first((*d.findings, *d.instruments)) if f.severity is not Severity.NOTE)
-    yield from (f for f in d.next_steps if f.code not in of_rig)
+    yield from [f for f in d.conclusion if f.code not in (*first, DiscoveryCode.ERROR_REDUCED)][1:]
+    rest = tables.worst_first(f for f in (*d.findings, *d.instruments) if f.code not in first)
+    yield from (f for f in rest if f.severity is not Severity.NOTE)
+    yield from (f for f in d.next_steps if f.code not in first)
     yield from (f"{name} is out: {finding}" for name, finding in d.not_tried.items() if finding.code in FAILED_CODES)
     yield from (text for text in [words.impossible_text(d.not_tried)] if text)
     yield from (f for f in (*d.findings, *d.instruments) if f.severity is Severity.NOTE)
