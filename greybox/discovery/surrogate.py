@@ -12,7 +12,7 @@ import numpy as np
 from greybox.base.numerics import TINY
 from greybox.base.values import Printable, ReadOnly
 from greybox.discovery.answer import SearchAnswer
-from greybox.discovery.claims import Weights
+from greybox.discovery.claims import LEAST_SHARE, Weights
 from greybox.discovery.curve_shape import TIME, CurveShape, Dependence, ShapeKind, classify_shape
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
 from greybox.discovery.holdout import (
@@ -176,7 +176,13 @@ def fit_stand_in(answer: SearchAnswer) -> Surrogate | None:
     place = search.places[key_of(best)]
     describe = _describe_tone if TONE in best.effects else _describe_curve
     surrogate = describe(answer, best, place)
-    return surrogate if surrogate.explained_fraction >= max(USEFUL_SHARE, explained if helps else 0.0) else None
+    # Where hardly more than noise is left, all of the gap is no share of the error that anybody would see.
+    is_seen = surrogate.share >= LEAST_SHARE
+    return (
+        surrogate
+        if is_seen and surrogate.explained_fraction >= max(USEFUL_SHARE, explained if helps else 0.0)
+        else None
+    )
 
 
 def _find_best(search: EffectSearch, nearest: FittedCandidate) -> FittedCandidate | None:

@@ -149,7 +149,7 @@ def test_every_number_that_is_told_stands_in_the_json(
     monkeypatch.chdir(records)
     words, file = COMMANDS[command]
     # A number stands on one line with its unit.
-    monkeypatch.setattr("greybox.shell.command_line.terminal_width", lambda: 2000)
+    monkeypatch.setattr("greybox.shell.command_line.terminal_width", lambda stream: 2000)
     typed = [command.split()[0], *words.split(), "--details", "--output", str(tmp_path)]
     done = CliRunner().invoke(app, typed, prog_name="greybox")
     assert done.exit_code == 0, done.stderr
