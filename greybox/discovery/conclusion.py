@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from greybox.base import TINY, Check, Finding, Severity
+from greybox.base.values import with_code
 from greybox.discovery.answer import SearchAnswer, make_answer
 from greybox.discovery.claims import (
     LEAST_SHARE,
@@ -186,7 +187,9 @@ def _settle(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
     # A model that follows the records no better than the plain one is not handed over: to finish it may cost as much as the search.
     brief = _keep_if_better(answer, test)
     settled = _keep_if_better(_finish_answer(answer if brief.added else brief), test)
-    if not answer.added or (settled.added and settled.rest) or answer.problem.executor.is_late:
+    # Where the whole search learnt from the first halves already there is no more to learn.
+    has_learnt = with_code(answer.findings, DiscoveryCode.LEARNT_FROM_VALIDATION)
+    if not answer.added or (settled.added and settled.rest) or has_learnt or answer.problem.executor.is_late:
         return settled
     answer.search.on_message(str(Finding(DiscoveryCode.LEARNING_FROM_VALIDATION)))
     learn = partial(_learn_from_validation, answer)

@@ -111,8 +111,8 @@ def _sets_table(discovery: Discovery, most: int | None = None) -> doc.TableBlock
     note = "Errors are those on the validation records, with the constants that the estimation records gave."
     if with_code(discovery.findings, DiscoveryCode.LEARNT_FROM_VALIDATION):
         note = (
-            note[:-1]
-            + "; of the answer and of none those on the second half, with the constants of the first half as well."
+            "Errors of the answer and of the model without effects are those on the second half of the validation records, with constants"
+            " that their first half gave too; those of the other sets may rest on the estimation records alone."
         )
     return doc.TableBlock("Sets of effects", head, rows, note)
 

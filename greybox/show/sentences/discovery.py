@@ -683,8 +683,8 @@ register(
         DiscoveryCode.FURTHER_EFFECT: lambda f: (
             f"{f.subject}: misfit {ratio_text(f.values['after'], f.values['bounded'])}"
         ),
-        DiscoveryCode.LEARNING_FROM_VALIDATION: "the constants of the estimation records leave more than noise on the validation records:"
-        " those of the first half of these as well are tried",
+        DiscoveryCode.LEARNING_FROM_VALIDATION: "more than noise is left on the validation records: constants that are fitted to their"
+        " first half as well are tried",
     }
 )
 

@@ -369,8 +369,7 @@ FINDINGS = [
     (
         Code.LEARNING_FROM_VALIDATION,
         *("", {}),
-        "the constants of the estimation records leave more than noise on the validation records: those of the first half of these as well"
-        " are tried",
+        "more than noise is left on the validation records: constants that are fitted to their first half as well are tried",
     ),
     (
         Code.EFFECTS_ESTABLISHED,
