@@ -43,22 +43,29 @@ TANKS = Model(
         Balance("lower", "m^3/s", p.A, "h2", inflow=p.k1 * ca.sqrt(x.h1), outflow=-p.k2 * ca.sqrt(x.h2)),
     ],
 )
-SPRING = Model(
-    "spring",
-    [State("x", "m"), State("v", "m/s")],
-    [Input("F", "N")],
-    [Output("x", "m")],
-    [
-        Parameter("m", "kg", 1.0, (1e-2, 100)),
-        Parameter("d", "N*s/m", 1.0, (1e-3, 100)),
-        Parameter("k", "N/m", 50.0, (1.0, 1e4)),
-        Parameter("k3", "N/m^3", 100.0, (0.0, 1e6)),
-    ],
-    lambda x, u, p: [
-        Balance("place", "m/s", 1, "x", speed=x.v),
-        Balance("force", "N", p.m, "v", drive=u.F, damping=-p.d * x.v, spring=-p.k * x.x, cubic=-p.k3 * x.x**3),
-    ],
-)
+
+
+def mass_on_spring(name, further, force):
+    """A mass on a damped spring with a ``further`` force, a function of its states and constants, of some constants of its own."""
+    return Model(
+        name,
+        [State("x", "m"), State("v", "m/s")],
+        [Input("F", "N")],
+        [Output("x", "m")],
+        [
+            Parameter("m", "kg", 1.0, (1e-2, 100)),
+            Parameter("d", "N*s/m", 1.0, (1e-3, 100)),
+            Parameter("k", "N/m", 50.0, (1.0, 1e4)),
+            *further,
+        ],
+        lambda x, u, p: [
+            Balance("place", "m/s", 1, "x", speed=x.v),
+            Balance("force", "N", p.m, "v", drive=u.F, damping=-p.d * x.v, spring=-p.k * x.x, further=-force(x, p)),
+        ],
+    )
+
+
+SPRING = mass_on_spring("spring", [Parameter("k3", "N/m^3", 100.0, (0.0, 1e6))], lambda x, p: p.k3 * x.x**3)
 REACTOR = Model(
     "reactor",
     [State("S", "mol/m^3", 10.0)],
@@ -73,24 +80,10 @@ REACTOR = Model(
         Balance("substrate", "mol/m^3/s", 1, "S", feed=u.F * (p.Sf - x.S), use=-p.Vm * x.S / (p.Km + x.S))
     ],
 )
-BLOCK = Model(
+BLOCK = mass_on_spring(
     "block",
-    [State("x", "m"), State("v", "m/s")],
-    [Input("F", "N")],
-    [Output("x", "m")],
-    [
-        Parameter("m", "kg", 1.0, (1e-2, 100)),
-        Parameter("d", "N*s/m", 1.0, (1e-3, 100)),
-        Parameter("k", "N/m", 50.0, (1.0, 1e4)),
-        Parameter("Fc", "N", 0.5, (0.0, 1e3)),
-        Parameter("vs", "m/s", 2e-3, fixed=True),
-    ],
-    lambda x, u, p: [
-        Balance("place", "m/s", 1, "x", speed=x.v),
-        Balance(
-            "force", "N", p.m, "v", drive=u.F, damping=-p.d * x.v, spring=-p.k * x.x, dry=-p.Fc * ca.tanh(x.v / p.vs)
-        ),
-    ],
+    [Parameter("Fc", "N", 0.5, (0.0, 1e3)), Parameter("vs", "m/s", 2e-3, fixed=True)],
+    lambda x, p: p.Fc * ca.tanh(x.v / p.vs),
 )
 LIMITER = Model(
     "limiter",
