@@ -77,7 +77,7 @@ def find_exchange(optimum: SimulationOptimum, options: FitOptions) -> Exchange |
         optimum.evaluation.cost / max(optimum.evaluation.count - v.size, 1), float(objective.problem.noise.known)
     )
     twins = []
-    for twin in find_twins(objective.problem):
+    for twin in find_twins(objective.problem, optimum.runs):
         twin_variables = v.with_values(twin.values)
         # Constants that are held have lost their priors, which may have decided.
         cost = settle(objective.problem, twin_variables.base, everything).cost + twin_variables.penalty(v.here)[0]

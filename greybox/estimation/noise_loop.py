@@ -7,6 +7,7 @@ weights change the residual.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -25,7 +26,7 @@ from greybox.estimation.sandwich import LEAST_LEVEL_READINGS, estimate_residual_
 from greybox.estimation.transcription.collocation import solve_collocation
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.multiple_shooting import solve_multiple_shooting
-from greybox.estimation.transcription.plant_search import SHARES, shoot_part, solve_plant
+from greybox.estimation.transcription.plant_search import SHARES, solve_plant
 from greybox.estimation.transcription.problem import (
     Completion,
     EstimationProblem,
@@ -82,7 +83,7 @@ def keep_best(
         problem = problem.with_stable_steps()
     is_failed = not (status.success or solution.is_single or status is TerminationStatus.INTERRUPTED)
     ended = solution.evaluation.cost if solution.is_run else np.inf
-    if is_worse_in_part(solution, start, ended) and not is_failed:
+    if not is_failed and is_worse_in_part(problem, start, ended, solution.shares):
         return solution
     runs = [(compute_cost(problem, start), start)]
     if runs[0][0] >= ended and not is_failed:
@@ -103,13 +104,15 @@ def keep_best(
     return replace(again, strategy=solution.strategy).with_strategy(completion=str(Completion.WENT_ON))
 
 
-def is_worse_in_part(solution: Solution, start: DecisionVector, ended: float) -> bool:
-    """Whether the run of a plant from ``start`` costs more than ``ended`` over the first part already, which the search has run: no term
-    of a cost is negative, and the whole need not be run.
+def is_worse_in_part(problem: EstimationProblem, start: DecisionVector, ended: float, shares: Sequence[float]) -> bool:
+    """Whether the run from ``start`` costs more than ``ended`` over the first part already: no term of a cost is negative, and the whole
+    need not be run.
+
+    Of a plant, whose runs have a price, only where a search of such ``shares`` has run that part.
     """
-    if not isinstance(solution.problem.model, PlantModel) or SHARES[0] not in solution.shares:
+    if isinstance(problem.model, PlantModel) and SHARES[0] not in shares:
         return False
-    return shoot_part(solution.problem, start, SHARES[0]).cost(start.here) >= ended
+    return compute_cost(problem.over_part(SHARES[0]), start) >= ended
 
 
 def compute_cost(problem: EstimationProblem, variables: DecisionVector) -> float:

@@ -19,6 +19,7 @@ from greybox.base.errors import ModelError
 from greybox.data.noise import NoiseSource
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import draw_starts
+from greybox.estimation.noise_loop import compute_cost as compute_start_cost
 from greybox.estimation.noise_loop import keep_best, solve
 from greybox.estimation.optim.gauss_newton import run_gradient_sampling
 from greybox.estimation.optim.minimisation import (
@@ -138,6 +139,25 @@ def test_segments_that_led_astray_give_way_to_the_run_of_the_start():
     assert stopped.status is TerminationStatus.INTERRUPTED
     assert stopped.variables is problem.variables
     assert stopped.evaluations == failed.evaluations
+
+
+def test_a_start_that_costs_more_over_its_first_part_is_not_run_over_the_whole(monkeypatch):
+    """No term of a cost is negative: the first rows are enough to tell that the end is better; from the end itself they are not."""
+    model, record = driven(0.3, 4.0, 6.0, 2.0, rows=400)
+    options = FitOptions(at_rest=True, transcription="single")
+    problem = prepare_problem(model.start(k=5.0), record, {"x": NOISE}, options)
+    found = solve(problem, options)
+    run = []
+
+    def count(problem, variables):
+        run.append(len(problem.records[0].u))
+        return compute_start_cost(problem, variables)
+
+    monkeypatch.setattr(sys.modules["greybox.estimation.noise_loop"], "compute_cost", count)
+    assert keep_best(found, problem.variables, options) is found
+    assert run == [60]
+    assert keep_best(found, found.variables, options) is found
+    assert run == [60, 60, 400]
 
 
 @pytest.mark.parametrize("name", ["Robertson", pytest.param("Oregonator", marks=pytest.mark.slow)])

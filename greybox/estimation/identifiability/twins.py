@@ -29,7 +29,7 @@ from greybox.estimation.objective import (
 )
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
-from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.problem import EstimationProblem, Runs
 from greybox.model import System
 
 
@@ -66,8 +66,9 @@ TWIN_SPREAD = 1.4
 TWIN_RUN = 1e-6
 
 
-def find_twins(problem: EstimationProblem) -> tuple[Twin, ...]:
-    """The twins of the present values, within the bounds, of a model whose runs are free ones over the records of ``problem``.
+def find_twins(problem: EstimationProblem, runs: Runs | None = None) -> tuple[Twin, ...]:
+    """The twins of the present values, within the bounds, of a model whose runs are free ones over the records of ``problem``: those of
+    the present values are ``runs``, where they are known.
 
     Of a linear model they are the other roots of the coefficients of its transfer functions. Of any other one constants of one unit are
     tried in each other's place, and negative values in the place of positive ones; a run over the records says whether they are twins. Of
@@ -82,7 +83,8 @@ def find_twins(problem: EstimationProblem) -> tuple[Twin, ...]:
     if not coefficients and not list_changes(v, alike):
         return ()
     base = spread_alike(v.base, alike)
-    apart = _own_run(problem, v.with_values(dict(zip(v.names, base.tolist(), strict=True))))
+    spread = v.with_values(dict(zip(v.names, base.tolist(), strict=True)))
+    apart = _own_run(problem, spread, runs if base is v.base else None)
     if not all(np.isfinite(y).any() for y in (r.y for r in apart.records)):
         return ()
     roots = find_roots(coefficients, apart.variables, alike) if coefficients else _try_exchanges(apart, alike)
@@ -358,9 +360,9 @@ def _try_exchanges(problem: EstimationProblem, alike: list[tuple[int, int]]) -> 
 # A run as its own record.
 
 
-def _own_run(problem: EstimationProblem, variables: DecisionVector) -> EstimationProblem:
+def _own_run(problem: EstimationProblem, variables: DecisionVector, runs: Runs | None = None) -> EstimationProblem:
     """The problem with the run at ``variables`` in the place of what was measured, and without priors: its cost there is zero."""
-    runs = problem.shooting(variables).simulate(variables.here)
+    runs = problem.shooting(variables).simulate(variables.here) if runs is None else runs
     records = tuple(
         replace(r, y=np.where(np.isfinite(r.y), y, np.nan)) for r, (y, _) in zip(problem.records, runs, strict=True)
     )

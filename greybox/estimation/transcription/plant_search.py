@@ -31,19 +31,8 @@ from greybox.simulation.plant_kernel import PlantKernel
 # Shares of the records that are fitted before the whole: over a short part a start that is far off is not out of step yet, and a run
 # costs little.
 SHARES = (0.15, 0.4)
-# Rows of a record that the first part has at least.
-LEAST_PART_ROWS = 50
 # Share of the rows from which a part is not worth a search of its own.
 ALMOST_WHOLE = 0.8
-
-
-def shoot_part(problem: EstimationProblem, variables: DecisionVector, share: float) -> PlantShooting:
-    """The cost of runs over the first ``share`` of every record, and some rows of it at least."""
-    lengths = [min(max(round(share * len(r.u)), LEAST_PART_ROWS), len(r.u)) for r in problem.records]
-    parts = tuple(r.first(n) for r, n in zip(problem.records, lengths, strict=True))
-    shooting = replace(problem, records=parts).shooting(variables)
-    assert isinstance(shooting, PlantShooting)
-    return shooting
 
 
 def solve_plant(problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None = None) -> Solution:
@@ -112,7 +101,8 @@ class _PlantSearch:
 
     def descend_part(self, share: float) -> None:
         """Search over the first ``share`` of every record, unless that is nearly the whole, which costs as much."""
-        shooting = shoot_part(self.problem, self.variables, share)
+        shooting = self.problem.over_part(share).shooting(self.variables)
+        assert isinstance(shooting, PlantShooting)
         rows, whole = (sum(len(r.u) for r in records) for records in (shooting.records, self.problem.records))
         if rows >= ALMOST_WHOLE * whole or not self.variables.size:
             return

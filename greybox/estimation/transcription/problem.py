@@ -32,6 +32,9 @@ from greybox.simulation.plant import PlantModel, make_plant_step
 from greybox.simulation.plant_kernel import PlantKernel
 from greybox.simulation.records import to_experiments, to_record
 
+# Rows of a record that a part of it has at least.
+LEAST_PART_ROWS = 50
+
 
 @dataclass(frozen=True)
 class EstimationProblem:
@@ -73,6 +76,14 @@ class EstimationProblem:
         if self.loss is None and not self.is_whitened:
             return SingleShooting(*base)
         return WhitenedShooting(*base, colour=self.noise.colour, loss=self.loss)
+
+    def over_part(self, share: float) -> EstimationProblem:
+        """The same over the first ``share`` of every record, and some rows of it at least."""
+        records = []
+        for record in self.records:
+            samples = max(round(share * len(record.u)), LEAST_PART_ROWS) // record.rows_per_sample
+            records.append(record.first(min(samples * record.rows_per_sample, len(record.u))))
+        return replace(self, records=tuple(records))
 
     @property
     def is_whitened(self) -> bool:
