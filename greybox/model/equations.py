@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import hashlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -10,6 +11,8 @@ import casadi as ca
 
 from greybox.base import format_unit
 from greybox.model.balance import Balance, stores_nothing
+from greybox.model.expressions.graph import as_scalar, nodes, walk
+from greybox.model.expressions.operations import operation_name
 from greybox.model.expressions.printer import MODELICA, Printer
 from greybox.model.expressions.text import expression_text, signed_text
 from greybox.model.model import Model
@@ -195,12 +198,47 @@ def declare(model: Model) -> dict[str, str]:
     }
     for k, state in enumerate(system.states):
         limits = f", within {state.bounds[0]:.12g} to {state.bounds[1]:.12g}"
-        start = expression_text(system.start[k])
+        start = f"{expression_text(system.start[k])}{' and is fitted' * state.free_start}"
         lines[f"state {state.name}"] = (
             f"state {state.name} [{format_unit(state.unit) or '-'}] starts at {start}{limits}"
         )
+    lines |= {f"output {o.name}": f"output {o.name} wraps at {o.wraps:.12g}" for o in model.outputs if o.wraps}
     lines |= {f"record of {e.name}": f"{e.name} holds {e.hold}, late {e.late}" for e in model.effects if e.is_of_record}
-    return lines | ({"plant": f"plant {model.identity}"} if model.identity else {})
+    if model.identity:
+        return lines | {"plant": f"plant {model.identity}"}
+    return lines | dict(_declare_exactly(system))
+
+
+# What the equations do not show, which are written with six digits and the names of blocks, is kept under keys that begin with this.
+EXACTLY = "exactly "
+
+
+def _declare_exactly(system: System) -> Iterator[tuple[str, str]]:
+    """The numbers of each equation with their digits, and a hash of what stands behind the name of a block."""
+    outputs = system.outputs if system.stated_outputs is None else system.stated_outputs
+    others = [system.start, *(d.static for d in system.dry), *(u.value for u in system.updates), system.diffusion]
+    equations = {
+        b.name: [b.storage, *(term for name, term in b.terms.items() if name not in b.blocks)]
+        for b in system.stated_balances
+    }
+    for name, parts in {**equations, "outputs": [outputs], "states": others}.items():
+        roots = [as_scalar(part[k]) for part in map(ca.SX, parts) for k in range(part.numel())]
+        numbers = sorted({float(node) for node in nodes(roots) if node.is_constant()})
+        yield f"{EXACTLY}{name}", f"{name}: the numbers {', '.join(f'{number:.12g}' for number in numbers)}"
+    for balance in system.stated_balances:
+        for term, block in balance.blocks.items():
+            text = f"{balance.name}: what stands for {block.name}: {_hash_exactly([ca.SX(balance.terms[term])])[:8]}"
+            yield f"{EXACTLY}{balance.name}.{term}", text
+
+
+def _hash_exactly(expressions: Iterable[ca.SX]) -> str:
+    """A hash of scalar expressions, with numbers to twelve digits."""
+
+    def combine(node: ca.SX, operands: list[bytes]) -> bytes:
+        return hashlib.sha256(b"|".join([operation_name(node.op()).encode(), *operands])).digest()
+
+    parts = [walk(e, str.encode, lambda number: f"{number:.12g}".encode(), combine) for e in expressions]
+    return hashlib.sha256(b"|".join(parts)).hexdigest()
 
 
 def _declare_constant(name: str, unit: str) -> str:
@@ -229,11 +267,36 @@ def compare_definition(
         Each line that differs; none where the result belongs to this model.
     """
     present = declare(model) if declared else {q.name: _declare_constant(q.name, q.unit) for q in model.all_parameters}
+    if declared and not any(name.startswith(EXACTLY) for name in declared):
+        present = {name: line for name, line in present.items() if not name.startswith((EXACTLY, "output "))}
     stored = declared or {name: _declare_constant(name, unit) for name, unit in units.items()}
-    pairs = [(stored.get(name, ""), present.get(name, "")) for name in {**stored, **present}]
-    if equations:
-        before, now = _entries(equations), _entries(equations_text(model))
-        pairs = [pair for head in {**before, **now} for pair in _pair(before.get(head, []), now.get(head, []))] + pairs
+    return compare_statements((equations, stored), (equations_text(model) if equations else "", present))
+
+
+Statements = tuple[str, Mapping[str, str]]
+"""The equations of a model and what else it states (`declare`)."""
+
+
+def state_whole(model: Model, besides: Collection[str] = ()) -> Statements:
+    """Everything that a model states, with values and priors of its constants but those ``besides``: what a study was written for."""
+    values = {
+        f"value {q.name}": f"{q.name} = {q.value:.12g} {format_unit(q.unit)}".rstrip()
+        + (f", prior {q.prior[0]:.12g} +- {q.prior[1]:.12g}" if q.prior else "")
+        for q in model.all_parameters
+        if q.name not in besides
+    }
+    return equations_text(model), declare(model) | values
+
+
+def compare_statements(stored: Statements, present: Statements) -> tuple[Difference, ...]:
+    """Each line that differs; none for statements of one model."""
+    before, now = _entries(stored[0]), _entries(present[0])
+    heads = [head for head in {**before, **now} if before.get(head) != now.get(head)]
+    pairs = [pair for head in heads for pair in _pair(before.get(head, []), now.get(head, []))]
+    # An equation that is seen to differ needs no further line on its digits.
+    said = tuple(f"{EXACTLY}{head.partition(' ')[0]}" for head in heads)
+    names = [name for name in {**stored[1], **present[1]} if not (said and name.startswith(said))]
+    pairs += [(stored[1].get(name, ""), present[1].get(name, "")) for name in names]
     return tuple(Difference(*pair) for pair in pairs if pair[0] != pair[1])
 
 
@@ -260,10 +323,10 @@ def identify(model: Model) -> list[Any]:
     """Everything about a model that decides where a search ends: equations or the plant, constants, ties, bounds."""
     system = model.system
     return [
-        str(ca.vertcat(*map(ca.vec, [*system.free_run_expressions, system.diffusion]))),
+        _hash_exactly(e[k] for e in [*system.free_run_expressions, system.diffusion] for k in range(e.numel())),
         [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in model.all_parameters],
         [(tie.name, tie.formula) for tie in model.ties],
-        [(s.name, s.bounds) for s in model.all_states],
+        [(s.name, s.bounds, s.free_start) for s in model.all_states],
         [(e.hold, e.late) for e in model.effects],
         # Of a plant without equations these say nothing.
         model.identity,

@@ -128,7 +128,8 @@ def _read_study(ctx: click.Context, name: str, command: Command, commands: Mappi
     study = command.study(command=name, options=command.table)
     if command.reads_studies and is_study_file(first):
         read = read_study(Path(first), command.like or name, commands)
-        study = study.but(file=read.file, from_file=read.from_file, unused=read.unused, **read.values)
+        origin = {name: getattr(read, name) for name in ("file", "from_file", "unused", "definition")}
+        study = study.but(**origin, **read.values)
         del given[command.arguments[0].name]
     study = with_overrides(study, given)
     if study.unused:
@@ -163,12 +164,18 @@ def _refuse_missing(ctx: click.Context, study: Study, required: list[Option[Any]
 
 
 def _write_study(ctx: click.Context, study: Study, target: Path, name: str, commands: Mapping[str, Command]) -> None:
+    from greybox.shell.inputs import state_in_study
+    from greybox.shell.project import find_model
     from greybox.show.sentences.shell import study_line
 
     idle = [option.flag for n, option in study.options.items() if not option.place and _typed(ctx, n)]
     if idle:
         it = "it" if len(idle) == 1 else "them"
         raise GreyboxError(f"{', '.join(idle)}: no effect with --write-study, which runs nothing; leave {it} out")
+    # A model that only the file names is a program that the user has not asked for: what the file says of it is kept as it is.
+    holder = "source" if study.source and not study.source.endswith(".json") else "model"
+    if (model := getattr(study, holder)) and holder not in study.from_file:
+        study = study.but(definition=state_in_study(find_model(model), study))
     print_answer(study_line(write_study(study, target, name, commands), name))
 
 

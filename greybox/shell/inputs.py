@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from greybox.data.signals import SignalLimit
     from greybox.estimation import Fit, FitOptions
     from greybox.model import Model
+    from greybox.model.equations import Statements
     from greybox.simulation.simulate import Simulation
 
 
@@ -27,15 +28,52 @@ def build_model(study: Study) -> Model:
     """The model of a study: with its schedules, effects and process noise, parameters freed, started and fixed; without
     priors and ties. Raises GreyboxError.
     """
-    from greybox.shell.project import find_model
-
     kind = find_plant_kind(study.model)
     if kind is not None and (objection := Idle(kind.unused, kind.closed).objection(study)):
         raise GreyboxError(objection)
-    model = _apply_schedules(find_model(study.model), study)
+    model = _apply_schedules(find_plain_model(study), study)
     model = _apply_process_noise(add_effects(model, study.effects), study.process_noise)
     model = model.with_parts(has=study.has, lacks=study.lacks)
     return kind.set_parameters(model, study) if kind else set_parameters(model, study)
+
+
+def find_plain_model(study: Study, holder: str = "model") -> Model:
+    """The model of a study as it is declared: the one for which the study was written. ``holder``: the option that names it.
+
+    Raises
+    ------
+    DataError
+        For a model that was edited since, with both lines, unless the user names it beside the file.
+    ModelError
+        Where there is no such model.
+    """
+    from greybox.model.equations import compare_statements
+    from greybox.shell.project import find_model
+
+    model, (equations, declared) = find_model(getattr(study, holder)), study.definition
+    if not equations:
+        return model
+    present, given = state_in_study(model, study), {f"value {n}" for n in (*study.fixed, *study.start, *study.free)}
+    stored = {key: line for key, line in declared.items() if key not in given}
+    if differences := compare_statements((equations, stored), present):
+        if holder in study.from_file:
+            lines = "".join(
+                f"\n  written for: {d.stored or '-'}\n  now:         {d.present or '-'}" for d in differences
+            )
+            raise DataError(
+                f"{study.file}: the model {model.title} is not the one that it was written for: write it again, give the model as it was,"
+                f" or insist on this one (--model {to_word(getattr(study, holder))}){lines}"
+            )
+        figures = {"lines": list(map(str, differences))}
+        print_findings([Finding(CommandCode.OTHER_MODEL_IN_STUDY, subject=str(study.file), values=figures)])
+    return model
+
+
+def state_in_study(model: Model, study: Study) -> Statements:
+    """What a model states, with the values of the constants to which the study gives none."""
+    from greybox.model.equations import state_whole
+
+    return state_whole(model, {*study.fixed, *study.start, *study.free})
 
 
 def add_effects(model: Model, names: Iterable[str]) -> Model:

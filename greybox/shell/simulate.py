@@ -12,6 +12,7 @@ from greybox.shell.inputs import (
     add_effects,
     check_substeps,
     check_writable,
+    find_plain_model,
     layout_of,
     limits_of,
     refuse_broken_limits,
@@ -40,11 +41,10 @@ def simulate(study: Study) -> Answer:
     from greybox.base import format_unit
     from greybox.data.findings import RecordCode
     from greybox.data.sampling import find_longest_time_gap
-    from greybox.shell.project import find_model
     from greybox.simulation.simulate import read_inputs, write_csv
     from greybox.simulation.simulate import simulate as simulate_model
 
-    plant = set_parameters(add_effects(find_model(study.model), study.effects), study)
+    plant = set_parameters(add_effects(find_plain_model(study), study.effects), study)
     target = _target(study.output or Path("results") / f"{plant.name}-simulated.csv", study.input)
     check_substeps(study, plant)
     noise_std = dict(study.noise)

@@ -122,6 +122,9 @@ class Study:
     file
         The study file it was read from, None without one; ``from_file`` names what stands there, ``unused`` the places in it that the
         command ignores.
+    definition
+        What the model stated when the file was written: its equations, and a line for each other name (`greybox.model.equations.declare`);
+        empty where the file does not say.
     """
 
     # A table: an option is a row or two.
@@ -290,6 +293,7 @@ class Study:
         file: Path | None = None,
         from_file: Iterable[str] = (),
         unused: Iterable[str] = (),
+        definition: tuple[str, Mapping[str, str]] = ("", MappingProxyType({})),
         **values: Any,
     ) -> None:
         known = self.table()
@@ -302,6 +306,7 @@ class Study:
         self.values: Mapping[str, Any] = MappingProxyType({**values, **tables})
         self.command, self.options = command, options
         self.file, self.from_file, self.unused = file, frozenset(from_file), tuple(unused)
+        self.definition = definition
 
     @classmethod
     def table(cls) -> dict[str, Option[Any]]:

@@ -54,6 +54,7 @@ def read_study(path: Path, name: str, commands: Mapping[str, Command]) -> Study:
         and the key.
     """
     document = _read_toml(path)
+    definition = _read_definition(path, document.pop(DEFINITION, {}))
     readers = study_commands(commands)
     scopes = {scope: document.pop(scope) for scope in readers if scope in document}
     values: dict[str, Any] = {}
@@ -82,6 +83,7 @@ def read_study(path: Path, name: str, commands: Mapping[str, Command]) -> Study:
         "file": path,
         "from_file": values,
         "unused": unused,
+        "definition": definition,
     }
     return command.study(**origin, **values)
 
@@ -125,7 +127,27 @@ def study_text(study: Study, path: Path, name: str, commands: Mapping[str, Comma
         "# Paths are relative to this file; numbers are in the units of the model.",
     ]
     parts = [[*head], top, *([f"[{table}]", *lines] for table, lines in tables.items())]
+    equations, declared = study.definition
+    if equations:
+        parts.append([f"# The model {study.model} as it was: one that was edited since is refused.", f"[{DEFINITION}]"])
+        parts[-1] += ["equations = [", *(f"  {_quoted(line)}," for line in equations.splitlines()), "]"]
+        parts[-1] += [f"{_quoted(name)} = {_quoted(line)}" for name, line in declared.items()]
     return "\n\n".join("\n".join(part) for part in parts if part) + "\n"
+
+
+# The table of a study file that keeps what its model states.
+DEFINITION = "definition"
+
+
+def _read_definition(path: Path, table: Any) -> tuple[str, dict[str, str]]:
+    """The equations and the other lines of that table. Raises GreyboxError where it is none."""
+    lines = dict(table) if isinstance(table, dict) else {"": table}
+    equations = lines.pop("equations", [])
+    if not (isinstance(equations, list) and all(isinstance(text, str) for text in (*equations, *lines.values()))):
+        raise GreyboxError(
+            f"{path}, [{DEFINITION}]: must hold lines of text, as --write-study has written them; leave the table out"
+        )
+    return "\n".join(equations), lines
 
 
 # Size of a study file: a thousand times what a long one has.

@@ -41,6 +41,7 @@ class CommandCode(StrEnum):
     SUBSTEPS_WITHOUT_EFFECT = "substeps_without_effect"
     FILES_REPLACED = "files_replaced"
     STUDY_FIELDS_UNUSED = "study_fields_unused"
+    OTHER_MODEL_IN_STUDY = "other_model_in_study"
     UNUSED_PARAMETER = "unused_parameter"
 
 

@@ -8,8 +8,9 @@ import pytest
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State, fit, load_fit
 from greybox.base import DataError
 from greybox.estimation.result import ResultCode
+from greybox.model import Block
 from greybox.model.effects import effect
-from greybox.model.equations import compare_definition, declare, equations_text
+from greybox.model.equations import compare_definition, declare, equations_text, identify
 
 
 def tank(
@@ -101,6 +102,44 @@ def test_a_file_that_states_no_bounds_is_compared_by_equations_and_units(saved):
     units = {name: each.unit for name, each in result.parameters.items()}
     assert not compare_definition(tank(bounds=(0.0, 9.0)), equations_text(tank()), {}, units)
     assert compare_definition(tank(unit="kPa"), "", {}, units)
+
+
+def spring(hidden=1.0, gravity=9.81, wraps=0.0, free_start=False, seventh=5678901.0):
+    """A mass whose stiff spring stands behind the name of a block."""
+
+    def balances(x, u, p):
+        body = Block("-stiff spring", -hidden * p.k * x.x, "N")
+        terms = {"drive": p.f * u.u, "weight": -gravity * p.g * p.m, "body": body, "small": seventh * 1e-6 * p.k * x.x}
+        return [Balance("position", "m/s", 1, "x", velocity=x.v), Balance("force", "N", p.m, "v", **terms)]
+
+    constants = (("m", "kg"), ("k", "N/m"), ("f", "N/V"), ("g", "m/s^2"))
+    return Model(
+        "spring",
+        states=[State("x", "m", free_start=free_start), State("v", "m/s")],
+        inputs=[Input("u", "V")],
+        outputs=[Output("x", "m", wraps=wraps)],
+        parameters=[Parameter(name, unit, 1.0, (0.1, 10.0)) for name, unit in constants],
+        balances=balances,
+    )
+
+
+HIDDEN = ({"hidden": 2.0}, {"gravity": 9.810001}, {"wraps": 6.0}, {"free_start": True}, {"seventh": 5678902.0})
+
+
+@pytest.mark.parametrize("edit", HIDDEN, ids=lambda edit: next(iter(edit)))
+def test_what_the_equations_do_not_show_is_stated_too(edit):
+    model, edited = spring(), spring(**edit)
+    assert equations_text(model) == equations_text(edited)
+    (difference,) = compare_definition(edited, equations_text(model), declare(model), {})
+    assert difference.stored != difference.present
+    assert not compare_definition(spring(), equations_text(model), declare(model), {})
+    # Finished work is known by the same; a wrapped reading is another record.
+    assert (identify(model) == identify(edited)) == ("wraps" in edit)
+
+
+def test_files_without_digits_are_compared_by_what_they_state():
+    model, stated = spring(), {n: line for n, line in declare(spring()).items() if not n.startswith("exactly")}
+    assert not compare_definition(spring(gravity=9.810001), equations_text(model), stated, {})
 
 
 def test_bounds_of_an_effect_follow_the_records():

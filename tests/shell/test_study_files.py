@@ -230,6 +230,61 @@ def test_reading_a_study_file_runs_no_code(tmp_path: Path) -> None:
     assert study.model == str(tmp_path / "rig.py")
 
 
+COMMAND_LINES = {
+    "fit": "micro_actuator {d}/train.csv --start K=5000",
+    "check": "micro_actuator {d}/train.csv --start K=5000",
+    "discover": "micro_actuator {d}/train.csv --validate {d}/test.csv --effects none --start K=5000",
+    "compare": "micro_actuator {d}/train.csv --validate {d}/test.csv --start K=5000",
+    "fleet": "micro_actuator {d}/train.csv {d}/second.csv",
+    "simulate": "micro_actuator --step 1 --duration 0.1 --sampling-time 0.01",
+    "design": "micro_actuator --limit u=-1:1 --duration 0.1 --sampling-time 0.01",
+    "campaign": "micro_actuator --limit u=-1:1 --duration 0.1 --sampling-time 0.01 --noise x=1e-6",
+}
+# What a model states -> how it stood there when the study was written.
+WRITTEN = {
+    "equations": ("- K x", "- 2 K x"),
+    "a unit": ("Ra [ohm]", "Ra [kohm]"),
+    "bounds": ("K [N/m] within 10", "K [N/m] within 11"),
+    "a constant": ("M = 0.01 kg", "M = 0.02 kg"),
+    "a digit": ("position: the numbers 1", "position: the numbers 1.0000001"),
+}
+
+
+@pytest.mark.parametrize("command", COMMAND_LINES)
+def test_a_study_of_a_model_that_was_edited_since_is_refused(
+    run: Run, data: Path, tmp_path: Path, command: str
+) -> None:
+    study = tmp_path / "study.toml"
+    written = run(command, *COMMAND_LINES[command].format(d=data).split(), "--write-study", "study.toml")
+    assert written.exit_code == 0, written.output
+    # Constants that the study gives itself are no matter of the model.
+    assert ("K = 5895.5 N/m" in study.read_text()) == ("--start" not in COMMAND_LINES[command])
+    present, stored = WRITTEN["equations"]
+    study.write_text(study.read_text().replace(present, stored))
+    refused = run(command, "study.toml", *(["--rig", "true"] if command == "campaign" else []))
+    assert refused.exit_code == 2
+    assert f"- B v {stored}" in refused.output
+    assert f"- B v {present}" in refused.output
+    assert "--model micro_actuator" in refused.output
+
+
+@pytest.mark.parametrize("what", WRITTEN)
+def test_a_study_is_held_against_all_that_its_model_states(run: Run, data: Path, tmp_path: Path, what: str) -> None:
+    study, (present, stored) = tmp_path / "study.toml", WRITTEN[what]
+    assert run("check", "micro_actuator", data / "train.csv", "--write-study", study).exit_code == 0
+    assert run("check", study).exit_code == 0
+    text = study.read_text()
+    assert present in text
+    study.write_text(text.replace(present, stored))
+    refused, insisted = run("check", study), run("check", study, "--model", "micro_actuator")
+    assert refused.exit_code == 2 and stored in refused.output and present in refused.output
+    assert insisted.exit_code == 0 and stored in insisted.output
+    # A constant that is given beside the file is none of the model's any more; the file that follows keeps what it stated.
+    assert run("check", study, "--fix", "M=0.01").exit_code == (0 if what == "a constant" else 2)
+    assert run("check", study, "--write-study", tmp_path / "again.toml").exit_code == 0
+    assert stored in (tmp_path / "again.toml").read_text()
+
+
 def test_a_study_file_is_never_overwritten(run: Run, tmp_path: Path, data: Path) -> None:
     arguments = ["fit", "micro_actuator", data / "train.csv", "--write-study"]
     assert run(*arguments, "study.toml").exit_code == 0

@@ -176,8 +176,13 @@ class StudyOnFile:
     def write_study(self, session: Session, path: Path) -> str:
         """The text of the study file ``path``, from which ``greybox fit`` computes the same."""
         from greybox.shell.commands import COMMANDS
+        from greybox.shell.project import find_model
 
-        return study_text(self.to_study(session, path.parent), path, "fit", COMMANDS)
+        study = self.to_study(session, path.parent)
+        # The other model is a file that the app writes beside it.
+        is_named = study.model == self.study.model
+        definition = inputs.state_in_study(find_model(study.model), study) if is_named else ("", {})
+        return study_text(study.but(definition=definition), path, "fit", COMMANDS)
 
     def write_script(self, session: Session, path: Path) -> str:
         """The text of the Python program ``path`` that computes the same."""

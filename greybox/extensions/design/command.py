@@ -131,18 +131,16 @@ def read_source(study: DesignStudy) -> tuple[Model | Fit, Fit | None, list[str]]
         if study.fixed or study.start:
             raise GreyboxError(f"{source}: a discovery knows its parameters; leave out --fix and --start")
         return _from_discovery(Path(source), data, study)
-    plant = build_plain_model(source, study)
+    plant = build_plain_model(study, "source")
     if not data:
         return plant, None, []
     records = read_data(data, plant, study, study.sampling_time)
     return _fit(plant, records, dict(study.noise), _options(study)), None, []
 
 
-def build_plain_model(name: str, study: Study) -> Model:
+def build_plain_model(study: Study, holder: str = "model") -> Model:
     """The model with parameters fixed and started. Raises GreyboxError."""
-    from greybox.shell.project import find_model
-
-    return inputs.set_parameters(find_model(name), study)
+    return inputs.set_parameters(inputs.find_plain_model(study, holder), study)
 
 
 def read_data(
@@ -242,7 +240,7 @@ def campaign(study: DesignStudy) -> Answer:
     from greybox.extensions.design.rig import check_command
     from greybox.model.effects.catalogue import effect
 
-    plain = build_plain_model(study.model, study)
+    plain = build_plain_model(study)
     folder = inputs.result_folder(study, plain.name)
     plan = CampaignPlan(
         plain,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from greybox.base import ExitCode, GreyboxError
-from greybox.shell.inputs import layout_of, result_folder, set_parameters
+from greybox.shell.inputs import find_plain_model, layout_of, result_folder, set_parameters
 from greybox.shell.progress import show_progress
 from greybox.shell.study import LAYOUT, READING_LIKE, SHARING, SHOWING, Answer, Command, NextCommand, Option, Study
 from greybox.shell.study_values import Word
@@ -42,9 +42,8 @@ def fleet(study: FleetStudy) -> Answer:
     from greybox.estimation.options import FitOptions
     from greybox.extensions.fleet.batch import fit_each
     from greybox.extensions.fleet.records import find_records
-    from greybox.shell.project import find_model
 
-    plant = set_parameters(find_model(study.model), study)
+    plant = set_parameters(find_plain_model(study), study)
     folder = result_folder(study, plant.name)
     references = find_records(
         study.estimation,

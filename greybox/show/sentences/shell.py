@@ -39,6 +39,10 @@ register(
         "substeps_without_effect": (
             "--substeps {substeps} has no effect on a linear model, which is integrated exactly; use --method rk4 for substeps"
         ),
+        "other_model_in_study": lambda f: (
+            f"{f.subject}: written for another model: {'; '.join(f.values['lines'][:3])}"
+            + f"; and {len(f.values['lines']) - 3} lines more" * (len(f.values["lines"]) > 3)
+        ),
         "study_fields_unused": lambda f: f"{f.subject}: a check does not use {', '.join(f.values['places'])}",
         "unused_parameter": "parameter {subject!r} is in no equation: a term is missing, or the parameter is not needed",
     }
