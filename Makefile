@@ -1,4 +1,4 @@
-# Every target makes the virtual environment it needs in .venv, and makes it anew when pyproject.toml changes.
+# Every target makes the virtual environment it needs in .venv, and makes it anew when pyproject.toml changes. Tests, lint and docs share one.
 # Another interpreter: make test PYTHON=/path/to/python3.12     Fewer tests: make test ARGS="-k friction"
 
 CANDIDATES := python3 python3.14 python3.13 python3.12 python3.11 python
@@ -7,7 +7,9 @@ PYTHON ?= $(firstword $(foreach p,$(CANDIDATES),$(shell $(p) -c '$(NEW_ENOUGH)' 
 
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+# What pip installs is compiled on all cores; pip itself takes one, for a third of its time.
+COMPILE := $(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true
 WORKERS ?= 2
 ARGS ?=
 
@@ -25,11 +27,11 @@ demo: $(VENV)/.installed ## install greybox and run its demonstration
 # One thread for BLAS: the matrices are 4x4, and a thread pool costs a hundred times the arithmetic.
 test test-rest: export OMP_NUM_THREADS = 1
 test test-rest: export OPENBLAS_NUM_THREADS = 1
-test: $(VENV)/.installed-test ## run the everyday tests, in three minutes (the studies: make test ARGS="-m slow")
+test: $(VENV)/.installed-dev ## run the everyday tests, in three minutes (the studies: make test ARGS="-m slow")
 	$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
 
 # A file's tests share what is dear (a search, a page in the browser that each goes on with): one worker has them all.
-test-rest: $(VENV)/.installed-test ## run the others: whole searches, browser, compilers, clusters, pages that are run
+test-rest: $(VENV)/.installed-dev ## run the others: whole searches, browser, compilers, clusters, pages that are run
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "rest and not slow" $(ARGS)
 
 lint: $(VENV)/.installed-dev ## check style, format and types
@@ -38,7 +40,7 @@ lint: $(VENV)/.installed-dev ## check style, format and types
 	$(BIN)/mypy
 
 docs: export NO_MKDOCS_2_WARNING = 1 # an advertisement
-docs: $(VENV)/.installed-docs ## build the documentation into site/, warnings are errors
+docs: $(VENV)/.installed-dev ## build the documentation into site/, warnings are errors
 	$(BIN)/python -m mkdocs build --strict $(ARGS)
 
 bench: export OMP_NUM_THREADS = 1
@@ -61,8 +63,8 @@ $(VENV)/.made:
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.made
 	@echo "installing greybox into $(VENV)"
-	@$(PIP) --editable . && touch $@
+	@$(PIP) --editable . && { $(COMPILE); } && touch $@
 
 $(VENV)/.installed-%: pyproject.toml $(VENV)/.made
 	@echo "installing greybox[$*] into $(VENV)"
-	@$(PIP) --editable '.[$*]' && touch $@
+	@$(PIP) --editable '.[$*]' && { $(COMPILE); } && touch $@

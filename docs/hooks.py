@@ -4,9 +4,9 @@ Formulas between dollar signs become MathML, which browsers typeset offline. Lin
 program itself says: every public name with its docstring, the help of every command. Pages that
 studies write into `studies/` join the navigation by themselves.
 
-The studies of the gallery and the page for those who come from other tools are run: a build fails where their code fails or prints
-something else than they show. The picture of each study is drawn from what its code has computed, by a line such as
-``<!-- figure: fit -->`` with the name of a variable. A study is run once for each state of its page and of the library.
+The studies of the gallery are run: a build fails where their code fails or prints something else than they show. The picture of each
+is drawn from what its code has computed, by a line such as ``<!-- figure: fit -->`` with the name of a variable. A study is run once for
+each state of its page and of the library.
 """
 
 from __future__ import annotations
@@ -70,22 +70,21 @@ def _pages(nav: Any) -> Iterator[str]:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Run the pages that a build runs; the pictures of the gallery join the files of the site."""
+    """Run the studies of the gallery; their pictures join the files of the site."""
     from mkdocs.structure.files import File
 
-    run_study(FOLDER / "tools.md")
     for page in sorted((FOLDER / "gallery").glob("*.md")):
         files.append(File.generated(config, f"gallery/{page.stem}.png", content=run_study(page)))
     return files
 
 
 def run_study(page: Path) -> bytes:
-    """Run a page, compare what it prints with what it shows, and draw its picture (PNG; nothing if it has none).
+    """Run a study, compare what it prints with what it shows, and draw its picture (PNG).
 
     Raises
     ------
     ValueError
-        When the page prints something else than it shows.
+        When it prints something else than it shows.
     """
     text = page.read_text(encoding="utf-8")
     kept = CACHE / f"{page.stem}-{hashlib.sha256((text + _library()).encode()).hexdigest()[:16]}.png"
@@ -100,8 +99,8 @@ def run_study(page: Path) -> bytes:
         run = run_page(page, Path(folder))
     if run.missing:
         raise ValueError("\n".join(run.missing))
-    figure = FIGURE.search(text)
-    picture = _draw(run.scope[figure[1]]) if figure else b""
+    (name,) = FIGURE.findall(text)
+    picture = _draw(run.scope[name])
     CACHE.mkdir(parents=True, exist_ok=True)
     for old in CACHE.glob(f"{page.stem}-*.png"):
         old.unlink()
