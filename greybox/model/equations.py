@@ -294,8 +294,8 @@ def compare_statements(stored: Statements, present: Statements) -> tuple[Differe
     heads = [head for head in {**before, **now} if before.get(head) != now.get(head)]
     pairs = [pair for head in heads for pair in _pair(before.get(head, []), now.get(head, []))]
     # An equation that is seen to differ needs no further line on its digits.
-    said = tuple(f"{EXACTLY}{head.partition(' ')[0]}" for head in heads)
-    names = [name for name in {**stored[1], **present[1]} if not (said and name.startswith(said))]
+    shown = tuple(f"{EXACTLY}{head.partition(' ')[0]}" for head in heads)
+    names = [name for name in {**stored[1], **present[1]} if not (shown and name.startswith(shown))]
     pairs += [(stored[1].get(name, ""), present[1].get(name, "")) for name in names]
     return tuple(Difference(*pair) for pair in pairs if pair[0] != pair[1])
 
