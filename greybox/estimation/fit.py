@@ -513,8 +513,10 @@ def stands_where_it_began(optimum: SimulationOptimum) -> bool:
 
 # Points about the start at which a model shows how many of its constants the records could tell.
 LOOKS_ELSEWHERE = 3
-# A direction that a thousand times the size a constant began with does not show has gone: what a rate that runs away leaves behind.
+# A direction that a thousand times the size a constant began with does not show has gone: what a rate that runs away leaves behind ...
 LOST_SIZES = 1e3
+# ... where a hundred times that size show it elsewhere: between the two a direction may be either, and none is counted twice.
+SHOWN_SIZES = 1e2
 # Share of the cost that a search must have gained to have been under way.
 NOTHING_GAINED = 0.01
 
@@ -527,9 +529,9 @@ def has_lost_constants(optimum: SimulationOptimum, problem: EstimationProblem) -
     """
     if is_at_noise(optimum) or not np.isfinite(optimum.evaluation.cost):
         return False
-    start, variance = problem.variables, optimum.evaluation.cost / max(optimum.evaluation.count, 1)
+    start = problem.variables
     size = np.where(start.base == 0, start.scale, np.abs(start.base))
-    if not (lost := count_open_directions(optimum.variables, optimum.evaluation, size, variance, 0.0)):
+    if not (lost := count_open_directions(optimum.variables, optimum.evaluation, LOST_SIZES * size, 0.0)):
         return False
     begin = problem.shooting().evaluate(start.here)
     # A search that began at the optimum has lost nothing on its way.
@@ -539,25 +541,25 @@ def has_lost_constants(optimum: SimulationOptimum, problem: EstimationProblem) -
     evaluations = ((v, problem.shooting(v).evaluate(v.here)) for v in map(start.with_values, near))
     return any(
         # What may be rounding there is not what has gone here.
-        count_open_directions(v, elsewhere, size, variance, RANK_CUTOFF) < lost
+        count_open_directions(v, elsewhere, SHOWN_SIZES * size, RANK_CUTOFF) < lost
         for v, elsewhere in itertools.chain([(start, begin)], evaluations)
         if np.isfinite(elsewhere.hessian).all()
     )
 
 
-def count_open_directions(
-    variables: DecisionVector, evaluation: Evaluation, size: np.ndarray, variance: float, rounding: float
-) -> int:
-    """Directions of the constants along which `LOST_SIZES` times their ``size`` (nf,) change the cost by less than the ``variance``.
+def count_open_directions(variables: DecisionVector, evaluation: Evaluation, step: np.ndarray, rounding: float) -> int:
+    """Directions of the constants along which a ``step`` of each (nf,) changes the cost by less than the residual's variance there.
 
-    So do those whose curvature is less than the share ``rounding`` of the largest.
+    That is of the point itself: a run that has gone far astray shows any direction beside the noise, and few beside its own errors. So do
+    those whose curvature is less than the share ``rounding`` of the largest.
     """
-    n, span = len(variables.which), size / variables.spans
+    n, span = len(variables.which), step / variables.spans
     constants, states = np.arange(n), np.arange(n, len(evaluation.hessian))
     # First states are estimated as well: Schur's complement; d'Hd / 2 is the change of the cost by a step d.
     reduced = np.nan_to_num(eliminate(evaluation.hessian, constants, states) @ evaluation.hessian[:, constants])
     curvature = np.linalg.eigvalsh(reduced * np.outer(span, span) / 2)
-    return int(np.sum(curvature < max(variance / LOST_SIZES**2, rounding * curvature.max(initial=0.0))))
+    variance = evaluation.cost / max(evaluation.count, 1)
+    return int(np.sum(curvature < max(variance, rounding * curvature.max(initial=0.0))))
 
 
 def _try_other_starts(

@@ -287,6 +287,26 @@ def test_constants_that_no_record_tells_apart_are_not_lost():
     assert found.starts == ()
 
 
+def test_a_run_that_goes_far_astray_elsewhere_does_not_show_what_is_lost_here():
+    """Of a constant that begins at 1e-5 a thousand times that changes nothing; thirty times the growth would show it beside the noise, and
+    not beside the errors of such a run.
+    """
+    model = Model(
+        "growth",
+        [State("x", "1", 1.0)],
+        [Input("s", "1")],
+        [Output("y", "1", lambda x, u, p: x.x * (1 + p.bend * u.s**2))],
+        [Parameter("rate", "1/s", 0.5), Parameter("bend", "1", 1e-5)],
+        lambda x, u, p: [Balance("growth", "1/s", 1, "x", more=p.rate * x.x)],
+    )
+    t, s = np.linspace(0, 1, 60), np.cos(np.linspace(0, 5, 60))
+    record = Experiment("r", t, {"s": s}, {"y": np.exp(t) * (1 + 0.3 * s**2) + 0.1 * np.sin(20 * t)})
+    found = fit(model, record, noise={"y": 0.01}, options=REST)
+    assert EstimationCode.MISFIT_ABOVE_NOISE in codes(found.findings)
+    assert found.model.values["bend"] == pytest.approx(0.3, rel=0.2)
+    assert found.starts == ()
+
+
 def test_records_of_nothing_but_noise_are_told_and_not_searched():
     found = fit(rooney_biegler(), growth(noise()), noise={"y": 0.05}, options=REST)
     assert found.starts == ()
