@@ -54,6 +54,7 @@ class EstimationCode(StrEnum):
     INPUT_COURSE_OPEN = "input_course_open"
     INPUT_NOISE_COUNTED = "input_noise_counted"
     INPUT_NOISE_BIASES = "input_noise_biases"
+    INPUT_BEFORE_OPEN = "input_before_open"
     # What the constants and the residual say.
     MODEL_DOES_NOT_FOLLOW = "model_does_not_follow"
     NO_FREEDOM = "no_freedom"
@@ -273,6 +274,7 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
         severity = Severity.ERROR if far else Severity.WARNING
         warn(EstimationCode.MODEL_DOES_NOT_FOLLOW, severity, best_fit=far | short)
     result += _find_other_courses(optimum)
+    result += _find_inputs_before(optimum, estimates)
     result += _find_input_noise(optimum)
     # What the data leave open, and what only looks determined.
     if covariance.degrees == 0:
@@ -377,6 +379,31 @@ def _find_other_courses(optimum: Optimum) -> list[Finding]:
         values["changes"] = _list_changes(variables, other.change, sizes, COURSE_MATTERS)
         result.append(Finding(code, Severity.WARNING, subject, values))
     return result
+
+
+# How far an output moves while the delayed input is still that of before the record, in its noise, from which that was no rest.
+MOVES_BEFORE = 5.0
+
+
+def _find_inputs_before(optimum: Optimum, estimates: Mapping[str, Estimate]) -> list[Finding]:
+    """A delayed input of which nothing is told before a record that begins in motion: that it was its first value is a guess."""
+    model, noise = optimum.model, optimum.problem.noise
+    values = {**model.values, **{name: e.value for name, e in estimates.items() if name in model.values}}
+    delays = ca.Function("delays", [model.system.p], [d.seconds for d in model.system.delays])
+    late = [float(value) for value in delays.call([ca.DM([*values.values()])])]
+    for delay, seconds in zip(model.system.delays, late, strict=True):
+        for trace in optimum.traces:
+            # Until the input of the first row arrives, or another one moves the plant.
+            others = [v for name, v in trace.inputs.items() if name != model.inputs[delay.column].name]
+            moved = np.any([np.cumsum(v != v[0]) > 1 for v in others] or [np.zeros(len(trace.time), bool)], axis=0)
+            waits = (trace.time - trace.time[0] <= seconds) & ~moved
+            moves = (np.ptp(trace.simulated[o.name][waits]) / noise.std[j] for j, o in enumerate(model.outputs))
+            if not len(trace.before_ages) and np.nanmax([*moves]) > MOVES_BEFORE:
+                one = model.inputs[delay.column]
+                figures = {"seconds": seconds, "first": float(trace.inputs[one.name][0]), "unit": one.unit}
+                figures |= {"input": one.name, "until": float(trace.time[0]) + seconds}
+                return [Finding(EstimationCode.INPUT_BEFORE_OPEN, Severity.WARNING, trace.name, figures)]
+    return []
 
 
 def _answers_same_row(optimum: Optimum, name: str) -> bool:

@@ -5,6 +5,7 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.estimation.findings import EstimationCode
 from greybox.simulation.simulate import read_inputs
 
 STEP, DELAY, TAU = 0.02, 0.13, 0.2
@@ -129,3 +130,46 @@ def test_a_window_of_a_file_of_inputs_knows_the_rows_before_it(tmp_path):
     part = read_inputs(file, lag(), hold="zero", window=(STEP * 22, None))
     run = gb.simulate(lag(), part)
     assert run.outputs["x"] == pytest.approx(exact(u, d, u[0], 0.0, first=22), abs=1e-9)
+
+
+def warnings_of_the_past(result):
+    return [f for f in result.findings if f.code == EstimationCode.INPUT_BEFORE_OPEN]
+
+
+@pytest.mark.parametrize("told", [None, 12.0])
+def test_a_record_that_begins_in_motion_asks_for_what_the_input_was(told):
+    u, d = drive(20.0)
+    y = exact(u, d, 12.0, 16.0) + 0.01 * np.random.default_rng(2).normal(size=len(u))
+    before = {} if told is None else {"u": told}
+    record = gb.Experiment("run", STEP * np.arange(len(u)), {"u": u, "d": d}, {"x": y}, before=before)
+    found = gb.fit(lag(20.0), record, noise={"x": 0.01})
+    notes = warnings_of_the_past(found)
+    assert len(notes) == (told is None)
+    if notes:
+        assert notes[0].values["first"] == u[0]
+        assert "--before u=VALUE" in str(notes[0])
+        # The remedy: what follows knows its past.
+        later = record.window(int(np.ceil(notes[0].values["until"] / STEP)), record.rows)
+        found = gb.fit(lag(20.0), later, noise={"x": 0.01})
+        assert not warnings_of_the_past(found)
+    assert found.parameters["delay"].value == pytest.approx(DELAY, abs=4 * found.parameters["delay"].std)
+
+
+def test_a_record_that_begins_at_rest_asks_for_nothing():
+    u, d = drive(20.0)
+    # The other input moves the plant before the delayed one arrives.
+    y = exact(u, d, 20.0, 20.0 + 0.5 * d[0]) + 0.01 * np.random.default_rng(2).normal(size=len(u))
+    record = gb.Experiment("run", STEP * np.arange(len(u)), {"u": u, "d": d}, {"x": y})
+    assert not warnings_of_the_past(gb.fit(lag(20.0), record, noise={"x": 0.01}))
+
+
+def test_an_input_that_began_with_its_record_is_that_everywhere():
+    u, d = np.full(200, 5.0), np.zeros(200)
+    y = exact(u, d, 0.0, 0.0) + 0.01 * np.random.default_rng(2).normal(size=200)
+    record = gb.Experiment("run", STEP * np.arange(200), {"u": u, "d": d}, {"x": y})
+    found = gb.fit(lag(), record, noise={"x": 0.01}, options=gb.FitOptions(at_rest=True))
+    (trace,) = found.traces
+    assert trace.experiment.before["u"] == 0.0
+    run = gb.simulate(found.model, trace.experiment, initial=trace.initial_state)
+    assert run.outputs["x"] == pytest.approx(trace.simulated["x"], abs=1e-12)
+    assert trace.simulated["x"] == pytest.approx(exact(u, d, 0.0, 0.0), abs=0.01)

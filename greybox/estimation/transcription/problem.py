@@ -217,9 +217,9 @@ def prepare_problem(
     group = to_experiments(as_experiments(experiments, model))
     for e in group:
         model.check_measured(f"experiment {e.name!r}", e.outputs)
-    arrays = [to_record(model, e) for e in group]  # before the noise: it refuses records that do not go with the model
     if options.at_rest and not isinstance(model, PlantModel) and model.system.delays:
-        arrays = [_begin_at_rest(model, record) for record in arrays]
+        group = tuple(_begin_at_rest(model, e) for e in group)
+    arrays = [to_record(model, e) for e in group]  # before the noise: it refuses records that do not go with the model
     if not isinstance(noise, NoiseModel):
         noise = estimate_noise(
             model,
@@ -298,18 +298,23 @@ def prepare_problem(
 REST_SHARE = 1e-6
 
 
-def _begin_at_rest(model: Model, record: Record) -> Record:
-    """``record`` with a delayed input that was zero before, where the plant rests at its declared start without it and not under its first
-    value: the input began with the record. What is told of it stands.
+def _begin_at_rest(model: Model, experiment: Experiment) -> Experiment:
+    """``experiment`` with a delayed input that was zero before, where the plant rests at its declared start without it and not under its
+    first value: the input began with the record. What is told of it stands, and this is told to whoever runs the record again.
     """
-    if record.before is not None:
-        return record
-    system, p = model.system, np.array(list(model.values.values()))
-    x, first = np.asarray(system.start_function(p)[0]).ravel(), record.u[0, : system.u.numel()]
-    without = first.copy()
-    without[[d.column for d in system.delays]] = 0.0
-    rates = [float(np.linalg.norm(np.asarray(system.rhs_function(x, u, p)).ravel())) for u in (first, without)]
-    return replace(record, before=without[None, :]) if rates[1] < REST_SHARE * rates[0] else record
+    late = [model.inputs[d.column].name for d in model.system.delays]
+    if len(experiment.before_ages) or not all(i.name in experiment.inputs for i in model.inputs):
+        return experiment
+    p = np.array(list(model.values.values()))
+    x = np.asarray(model.system.start_function(p)[0]).ravel()
+    rates = [
+        float(np.linalg.norm(np.asarray(model.system.rhs_function(x, u, p)).ravel()))
+        for u in (
+            [0.0 if i.name in none else experiment.inputs[i.name][0] for i in model.inputs] for none in ((), late)
+        )
+    ]
+    is_rest = rates[1] < REST_SHARE * rates[0]
+    return replace(experiment, before=dict.fromkeys(late, np.zeros(1))) if is_rest else experiment
 
 
 def _spread_noise(record: Record, experiment: Experiment, noise: NoiseModel) -> Record:

@@ -592,6 +592,17 @@ def write_correction(correction: PredictionCorrection) -> str:
     return f"Kalman filter, process noise{estimated} on {', '.join(correction.model.noisy_states)}"
 
 
+@writes(EstimationCode.INPUT_BEFORE_OPEN)
+def _write_input_before(finding: Finding) -> str:
+    v = finding.values
+    first = wording.with_unit(f"{v['first']:.6g}", v["unit"])
+    return (
+        f"record {finding.subject} begins in motion, and for {v['seconds']:.4g} s it shows what {v['input']} was before: taken is its first"
+        f" value, {first}; state another with --before {v['input']}=VALUE (before=), or begin at --from {v['until']:.4g}, from where the"
+        " record knows it"
+    )
+
+
 @writes(ResultCode.OTHER_CONSTANT)
 def _write_other_constant(finding: Finding) -> str:
     fitted, now = (f"{finding.values[when]:.6g}" for when in ("fitted", "now"))
