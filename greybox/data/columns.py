@@ -17,7 +17,7 @@ from greybox.base.texts import to_word
 from greybox.base.units import Conversion, unit_converter
 from greybox.data.findings import RecordCode
 from greybox.data.headers import LONGEST_HEADER, TIME, Column, UnitSource, parse_header, read_endings, read_time
-from greybox.data.notation import converts, read_conversion, read_notation
+from greybox.data.notation import converts, is_count, read_conversion, read_notation
 from greybox.data.policy import ReadingPolicy
 from greybox.data.problems import RowLabels, enumerate_first
 from greybox.data.stamps import Stamps
@@ -537,6 +537,16 @@ def _find_conversion(column: Column, signal: RequestedSignal, are_named: bool, p
     try:
         return read_conversion(column.unit, signal.unit, is_told=column.known is UnitSource.TOLD)
     except ModelError as error:
+        if is_count(column.unit):
+            # What one count is, the rig says: an encoder's lines a turn, a converter's range over its steps.
+            is_angle = converts("turn/4096", signal.unit, is_told=True)
+            one = replace(column, unit="turn/4096" if is_angle else f"0.001 {signal.unit}")
+            example = "with 4096 counts a turn" if is_angle else f"with 0.001 {signal.unit} a count"
+            problems.append(
+                f"column {shorten(column.header)!r} holds counts, and {signal.label} is wanted: say what one count is;"
+                f" {example}, {_explain_mapping(signal, one, are_named)}"
+            )
+            return as_it_is
         how, count = _explain_mapping(signal, replace(column, unit=signal.unit or "1"), are_named), ""
         if converts(column.unit, signal.unit, is_told=True):
             count = f"; if that is one count, {_explain_mapping(signal, column, are_named)}"

@@ -26,7 +26,7 @@ from greybox.data.problems import (
     is_constant,
     raise_problems,
 )
-from greybox.data.sensor_faults import find_spikes, inspect_signals, is_first_off
+from greybox.data.sensor_faults import find_strays, inspect_signals, is_first_off
 
 # Rows before a record that it keeps, in sampling intervals: as long as a delay of an input may be (each is a column of the step's input).
 MAX_DELAY_ROWS = 200
@@ -355,7 +355,7 @@ class Experiment(Printable):
         outputs, findings = {}, [f for f in self.findings if f.code != RecordCode.SENSOR_SPIKES]
         for name, y in self.outputs.items():
             rows = np.flatnonzero(np.isfinite(y))
-            spikes = rows[find_spikes(y[rows], [u[rows] for u in self.inputs.values()])]
+            spikes = find_strays(y, list(self.inputs.values()))
             spikes = np.append(rows[:1], spikes) if is_first_off(y[rows]) else spikes
             outputs[name] = np.where(np.isin(np.arange(self.rows), spikes), np.nan, y)
             findings += [Finding(RecordCode.SPIKES_LEFT_OUT, subject=name, values={"count": len(spikes)})] * bool(

@@ -200,6 +200,14 @@ def read_conversion(text: str, target: str, *, is_told: bool = False) -> Convers
     return unit_converter(read_notation(text, target, is_told=is_told), target)
 
 
+def is_count(text: str) -> bool:
+    """Whether a text names counts of a sensor and no unit (``inc``, ``RAW``)."""
+    try:
+        return read_notation(text) == COUNT
+    except ModelError:
+        return False
+
+
 def converts(text: str, target: str, *, is_told: bool = False) -> bool:
     """Whether there is such a conversion."""
     try:

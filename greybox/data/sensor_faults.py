@@ -241,9 +241,10 @@ def _find_saturation(values: np.ndarray) -> Iterator[tuple[str, np.ndarray, int]
 SPIKE_RATIO = 5.0
 # Share of an input's range; an input that leaves so far for one row may have caused the spike.
 PULSE_SHARE = 0.25
-# Share of the rows up to which spikes are found by that distance: each puts three rows aside, and with more of them it is their own.
+# Share of the rows beside their neighbours up to which spikes are found by that distance: each puts three rows aside, and with more of
+# them it is their own.
 MAX_SPIKE_SHARE = REPEAT_SHARE / 3
-# Largest share of the rows that can be spikes, where they come all over the record; more of them are a kind of noise.
+# Largest share of those rows that can be spikes, where they come all over the record; more of them are a kind of noise.
 MAX_STRAY_SHARE = 0.08
 # Share of the rows that so many spikes leave where they are, and how far 95 % of normal noise reach over that share of it.
 UNTOUCHED_SHARE, NORMAL_REACH = 0.7, 1.89
@@ -261,6 +262,8 @@ def find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray]) -> np.ndarray:
     if not len(usual):
         return np.zeros(0, int)
     few, many = np.quantile(usual, (1 - REPEAT_SHARE, UNTOUCHED_SHARE), overwrite_input=True)
+    # Of a coarse sensor most rows may lie in the middle of their neighbours; spikes are a share of the others.
+    rows = len(usual)
     del usual  # a long record is in memory a few times only
     driven = np.zeros(len(values), bool)
     for u in inputs:
@@ -271,11 +274,20 @@ def find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray]) -> np.ndarray:
     highest[:-1] &= beside[:-1] >= beside[1:]
     highest[1:] &= beside[1:] >= beside[:-1]
     strays = np.flatnonzero(highest & (beyond > SPIKE_RATIO * NORMAL_REACH * many))
-    if not MAX_SPIKE_SHARE * len(values) < len(strays) <= MAX_STRAY_SHARE * len(values):
+    if not MAX_SPIKE_SHARE * rows < len(strays) <= MAX_STRAY_SHARE * rows:
         spikes = np.flatnonzero(highest & (beyond > SPIKE_RATIO * few))
-        return spikes if len(spikes) <= max(1, MAX_SPIKE_SHARE * len(values)) else spikes[:0]
+        return spikes if len(spikes) <= max(1, MAX_SPIKE_SHARE * rows) else spikes[:0]
     spread = float(np.median(np.diff(strays))) * len(strays) / len(values) if len(strays) > 1 else 0.0
     return strays if spread >= EVEN_SPREAD else strays[:0]
+
+
+def find_strays(values: np.ndarray, inputs: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows of ``values`` (N,), which may have gaps, that are spikes; a second look finds those that stood beside another one."""
+    kept = np.array(values, float)
+    for _ in range(2):
+        rows = np.flatnonzero(np.isfinite(kept))
+        kept[rows[find_spikes(kept[rows], [u[rows] for u in inputs])]] = np.nan
+    return np.flatnonzero(np.isnan(kept) & np.isfinite(values))
 
 
 def is_first_off(values: np.ndarray) -> bool:

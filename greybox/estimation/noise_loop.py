@@ -16,7 +16,7 @@ import numpy as np
 from greybox.base import ModelError
 from greybox.data.noise.noise_model import AutoRegression, NoiseSource
 from greybox.data.noise.spectrum import estimate_spread
-from greybox.data.sensor_faults import find_spikes
+from greybox.data.sensor_faults import find_strays
 from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
 from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Termination, TerminationPolicy, TerminationStatus
@@ -337,8 +337,7 @@ def _begin_robust(problem: EstimationProblem, options: FitOptions) -> Estimation
     for record in problem.records:
         y = record.y.copy()
         for column in y.T:
-            rows = np.flatnonzero(np.isfinite(column))
-            column[rows[find_spikes(column[rows], list(record.u[rows].T))]] = np.nan
+            column[find_strays(column, list(record.u.T))] = np.nan
         records.append(replace(record, y=y))
     problem = replace(problem, records=tuple(records))
     errors = compute_whitened_residuals(problem, problem.shooting().simulate(problem.variables.here))

@@ -63,7 +63,7 @@ def compare(study: Study) -> Answer:
     inputs.check_prediction_steps(study, records, validation)
     check_sampling_times(records, validation, [q.name for q in plain.outputs])
     if not study.silent:
-        inputs.print_record_notes(records, validation)
+        inputs.print_record_notes(records, validation, loss=study.loss)
     options = inputs.fit_options(study)
     given = {"noise": dict(study.noise), "quiet": quiet, "options": options}
     journal = folder / inputs.STARTS_FILE

@@ -63,7 +63,7 @@ def discover(study: Study) -> Answer:
     write_model = load_extension(ExtensionKind.EXPORTS, "python").write
     records, validation, test = inputs.read_records(study, model)
     quiet = inputs.read_quiet_records(study, model)
-    inputs.print_record_notes(records, validation, quiet, test)
+    inputs.print_record_notes(records, validation, quiet, test, loss=study.loss)
     inputs.check_skip(study, [*validation, *test])
     only_laws = study.candidates == (NO_EFFECTS,)
     candidates = () if only_laws else [find_effect(name) for name in study.candidates] or None

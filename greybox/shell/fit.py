@@ -66,7 +66,7 @@ def fit(study: Study) -> Answer:
     inputs.check_prediction_steps(study, records, validation)
     silent, workers = study.silent, study.workers
     if not silent:  # notes on the fitted records stand in the result, but for JSON
-        inputs.print_record_notes(*((records, validation) if study.json else (validation,)))
+        inputs.print_record_notes(*((records, validation) if study.json else (validation,)), loss=study.loss)
     profiled = inputs.check_intervals(study, model)
     given: dict[str, Any] = {
         "noise": dict(study.noise),
@@ -134,12 +134,16 @@ def fit(study: Study) -> Answer:
 
 def next_command(study: Study, result: Fit, saved: Path) -> NextCommand:
     """What a colleague would type after a fit: what is missing, or where the model goes."""
+    from greybox.data.findings import RecordCode
     from greybox.shell.project import is_model_path
 
     records = (study.model, *study.estimation)
     if not result.success:
         return study.then("check", *records)
     if not result.explains_records:
+        # Readings that jump for one row swamp what the model lacks.
+        if study.loss == "squares" and any(f.code == RecordCode.SENSOR_SPIKES for f in result.findings):
+            return study.but(loss="huber").then("fit", *records)
         # A constant that ended at its bound in a bad fit is as often the sign of another optimum as of a missing effect.
         if any(e.at_bound for e in result.parameters.values()) and study.starts <= 1:
             return study.but(starts=8).then("fit", *records)

@@ -258,12 +258,17 @@ def split_records(
     return [tuple(piece for _, pieces in group for piece in pieces) for group in split], findings
 
 
-def print_record_notes(*groups: Iterable[Experiment]) -> None:
-    """The findings of records as lines on stderr; records that share a finding share its line."""
+def print_record_notes(*groups: Iterable[Experiment], loss: str = "squares") -> None:
+    """The findings of records as lines on stderr; records that share a finding share its line.
+
+    A robust ``loss`` is what is to be done about spikes.
+    """
     from greybox.data.experiment import collect_record_findings
+    from greybox.data.findings import RecordCode
 
     for finding in collect_record_findings(record for group in groups for record in group):
-        print_note(f"note: {finding}")
+        if loss == "squares" or finding.code != RecordCode.SENSOR_SPIKES:
+            print_note(f"note: {finding}")
 
 
 # Rows of a validation record that must be left after ``--skip``: fewer give no meaningful error.

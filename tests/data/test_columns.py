@@ -343,3 +343,17 @@ def test_a_column_of_counts_is_no_reading_in_a_unit(tmp_path, header):
         read("V", "x")
     np.testing.assert_array_equal(read("V", "x [V]"), [100, 120, 140])
     np.testing.assert_array_equal(read("1", "x"), [100, 120, 140])
+
+
+@pytest.mark.parametrize(("unit", "told"), [("rad", "turn/4096"), ("m", "0.001*m"), ("kPa", "0.001*kPa")])
+def test_what_one_count_is_must_be_said(tmp_path, unit, told):
+    (tmp_path / "run.csv").write_text("time [s],ENC [counts]\n0,100\n1,120\n2,140\n")
+    model = SimpleNamespace(name="any", inputs=(), outputs=(Output("x", unit),), stated_parameters=())
+    with pytest.raises(DataError, match="say what one count is") as refused:
+        read_arrays(tmp_path / "run.csv", model, columns={"x": "ENC [counts]"})
+    # The answer that is proposed is one that works.
+    key = re.search(r"'(x \[.*?\])': 'ENC", str(refused.value))[1]
+    assert key == f"x [{told}]"
+    read = read_arrays(tmp_path / "run.csv", model, columns={key: "ENC [counts]"}).outputs["x"]
+    one = 2 * np.pi / 4096 if unit == "rad" else 0.001
+    np.testing.assert_allclose(read, one * np.array([100, 120, 140]), rtol=1e-12)

@@ -8,6 +8,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import pytest
+
+from greybox.base import Finding
+from greybox.data.findings import RecordCode
 from greybox.discovery.result import Discovery
 from greybox.estimation import Fit
 from greybox.shell import command_line
@@ -16,6 +20,7 @@ from greybox.shell.discover import _next
 from greybox.shell.fit import next_command
 from greybox.shell.study import IN_MODEL, IN_RECORD, IN_RESULT, NextCommand, Study
 from greybox.shell.study_values import Switch
+from greybox.show.printers.text import wrap_command
 
 # A value of every option that belongs to a study, as it is typed.
 GIVEN = {
@@ -103,6 +108,7 @@ def make_fit(**others: Any) -> Fit:
         "success": True,
         "explains_records": False,
         "parameters": {},
+        "findings": (),
         "model": SimpleNamespace(has_equations=True),
     }
     return cast("Fit", SimpleNamespace(**values | others))
@@ -133,6 +139,20 @@ def test_other_starts_after_a_fit_at_a_bound() -> None:
     study = parse("fit", [*FILES, "--loss", "huber"])
     bounded = make_fit(parameters={"J": SimpleNamespace(at_bound=True)})
     assert next_command(study, bounded, Path("f")).spell(COMMANDS) == "greybox fit rig.py a.csv --loss huber --starts 8"
+
+
+def test_a_robust_loss_after_a_fit_that_glitches_swamp():
+    glitched = make_fit(findings=(Finding(RecordCode.SENSOR_SPIKES, subject="w"),))
+    assert next_command(parse("fit", [*FILES]), glitched, Path("f")).spell(COMMANDS) == "greybox fit rig.py a.csv --loss huber"
+    again = next_command(parse("fit", [*FILES, "--loss", "huber"]), glitched, Path("f")).spell(COMMANDS)
+    assert again == "greybox discover rig.py a.csv --loss huber"
+
+
+@pytest.mark.parametrize("start", range(44, 72, 3))
+def test_a_line_of_a_command_never_ends_inside_quotes(start):
+    command = f"greybox fit {'m' * (start - 20)}.py --column 'th [turn/8192]=ENC [counts of it]' --loss huber"
+    lines = wrap_command(command, 80)
+    assert [word for line in lines for word in shlex.split(line.removesuffix("\\"))] == shlex.split(command)
 
 
 def test_an_export_after_a_fit_says_nothing_that_its_file_holds() -> None:

@@ -94,11 +94,14 @@ def _indented(block: doc.Block, width: int) -> list[str]:
 
 # An option that a value follows.
 OPTION = re.compile(r"(?<= )(--?[\w-]+) (?!-)")
+# What a shell takes as one word, blanks included.
+QUOTED = re.compile(r"'[^']*'")
 
 
 def wrap_command(command: str, width: int) -> list[str]:
     """A command to copy: a line that is too long goes on behind a backslash. An option stays with its value."""
-    joined = OPTION.sub("\\1\0", command)
+    # A blank in quotes is part of a word: a backslash there would be, too.
+    joined = OPTION.sub("\\1\0", QUOTED.sub(lambda word: word.group().replace(" ", "\0"), command))
     lines = textwrap.wrap(joined, width - 2, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
     lines = [line.replace("\0", " ") for line in lines]
     return [*(f"{line} \\" for line in lines[:-1]), *lines[-1:]]
