@@ -378,7 +378,7 @@ def _write_unit(column: Column) -> tuple[str, str]:
     # Data in degrees Celsius are read by a model in kelvin; what is neither a plain number nor an angle (byte, pi) is no unit.
     known = "K" if converts(unit, "K") else unit
     is_number = not parse_unit(known).dimensions and not any(converts(unit, one) for one in ("1", "rad"))
-    return ("1", "1") if is_number else (format_unit(known), "")
+    return ("1", "1") if is_number else (format_unit(known), "" if column.unit else unit)
 
 
 def _guess_use(column: Column, values: np.ndarray, held: bool) -> str:

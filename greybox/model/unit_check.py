@@ -8,7 +8,7 @@ from functools import cached_property
 import casadi as ca
 
 from greybox.base.errors import ModelError, UnitError, nearest
-from greybox.base.units import ONE, Unit, format_unit, parse_unit, unit_name
+from greybox.base.units import ONE, Unit, format_unit, parse_unit, unit_converter, unit_name
 from greybox.model.balance import Balance, stores_nothing
 from greybox.model.expressions.operations import UnitMismatchError
 from greybox.model.expressions.text import infer_unit
@@ -158,7 +158,8 @@ class _UnitCheck:
                         yield from self._expect(f"{place} static friction {term!r}", friction.static, balance.unit)
         outputs = system.outputs if system.stated_outputs is None else system.stated_outputs
         for k, output in enumerate(self.statement.outputs):
-            yield from self._expect(f"output {output.name!r}", outputs[k], output.unit)
+            for problem in self._expect(f"output {output.name!r}", outputs[k], output.unit):
+                yield problem + self._explain_scale(outputs[k], output.unit)
         for k, state in enumerate(system.states):
             start, noise = system.start[k], system.diffusion[k]
             if not start.is_constant():  # a number is in the unit of its state
@@ -194,8 +195,29 @@ class _UnitCheck:
         if inferred is not None and inferred != parse_unit(self._as_checked(unit)):
             yield f"{subject} has {self._describe(inferred, units)}, expected {format_unit(unit) or '1'}"
 
+    def _explain_scale(self, value: ca.SX | float, unit: str) -> str:
+        """What to do about an output that is computed in another unit of the same quantity: records need not be in the model's."""
+        try:
+            inferred = infer_unit(value, self.units)
+        except UnitMismatchError:
+            return ""
+        if inferred is None or inferred.dimensions != parse_unit(unit).dimensions:
+            return ""
+        computed = unit_name(inferred, self.units.values())
+        if inferred == ONE:
+            computed = "rad" if _is_angle(unit) else "1"
+        return f" (it is computed in {computed}: declare it so, and records in {format_unit(unit)} are converted)"
+
     def _describe(self, unit: Unit, units: Mapping[str, str] | None = None) -> str:
         return "no unit" if unit == ONE else f"unit {unit_name(unit, (units or self.units).values())}"
+
+
+def _is_angle(unit: str) -> bool:
+    try:
+        unit_converter("rad", unit)
+    except UnitError:
+        return False
+    return True
 
 
 def _by_name(names: tuple[str, ...], symbols: ca.SX) -> dict[str, ca.SX]:

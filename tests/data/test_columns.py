@@ -357,3 +357,14 @@ def test_what_one_count_is_must_be_said(tmp_path, unit, told):
     read = read_arrays(tmp_path / "run.csv", model, columns={key: "ENC [counts]"}).outputs["x"]
     one = 2 * np.pi / 4096 if unit == "rad" else 0.001
     np.testing.assert_allclose(read, one * np.array([100, 120, 140]), rtol=1e-12)
+
+
+def test_columns_that_a_look_at_a_file_proposes_are_read_by_a_model_in_other_units(tmp_path):
+    (tmp_path / "run.csv").write_text("t_ms,p_bar,angle_deg\n0,1,90\n10,2,180\n20,2,90\n")
+    proposed = survey_file(tmp_path / "run.csv").columns
+    assert set(proposed) == {"time [ms]", "p_bar [bar]", "angle_deg [deg]"}
+    outputs = (Output("p_bar", "Pa"), Output("angle_deg", "rad"))
+    model = SimpleNamespace(name="any", inputs=(), outputs=outputs, stated_parameters=())
+    read = read_arrays(tmp_path / "run.csv", model, columns=proposed)
+    np.testing.assert_allclose(read.outputs["p_bar"], [1e5, 2e5, 2e5])
+    np.testing.assert_allclose(read.outputs["angle_deg"], [np.pi / 2, np.pi, np.pi / 2])

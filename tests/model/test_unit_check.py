@@ -69,6 +69,27 @@ def test_mistakes_in_a_model(wrong: dict, message: str) -> None:
     assert str(error.value) == message + END
 
 
+@pytest.mark.parametrize(
+    ("output", "wanted", "computed"),
+    [
+        (lambda x, u, p: x.x / (1 * p.L), "deg", "has no unit, expected deg (it is computed in rad: "),
+        (lambda x, u, p: x.x / (1 * p.L), "%", "has no unit, expected % (it is computed in 1: "),
+        (lambda x, u, p: x.x, "mm", "has unit m, expected mm (it is computed in m: "),
+    ],
+)
+def test_an_output_in_another_unit_of_its_quantity_is_told_what_to_declare(output, wanted: str, computed: str) -> None:
+    with pytest.raises(UnitError) as refused:
+        Model(
+            "arm",
+            states=[State("x", "m")],
+            inputs=[Input("v", "m/s")],
+            outputs=[Output("y", wanted, output)],
+            parameters=[Parameter("L", "m", 1.0)],
+            balances=lambda x, u, p: [Balance("position", "m/s", 1, "x", velocity=u.v)],
+        )
+    assert f"output 'y' {computed}declare it so, and records in {wanted} are converted)" in str(refused.value)
+
+
 def test_right_models_pass() -> None:
     model = rig(zero=lambda x, u, p: 0, start=lambda p: 0.1, stopper=lambda x, u, p: -p.K * ca.fmax(x.x, 0))
     assert [b.state for b in model.system.balances] == [s.name for s in model.states]
