@@ -12,12 +12,12 @@ import numpy as np
 from greybox.base import DataError, Finding, shorten
 from greybox.data.columns import (
     DECIMAL_COMMA,
-    GAPS,
     THOUSANDS,
     check_size,
     check_width,
     describe_non_numbers,
     describe_wrong_count,
+    is_gap,
 )
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
@@ -227,13 +227,7 @@ def read_cells(cells: Sequence[Any] | np.ndarray) -> list[float | None]:
         if isinstance(cell, str):
             text = cell.strip()
             text = text.replace(",", ".") if is_decimal and DECIMAL_COMMA.fullmatch(text) else text
-            return (
-                float("nan")
-                if text in GAPS or text.lower() == "nan"
-                else float(text)
-                if _NUMBER.fullmatch(text)
-                else None
-            )
+            return float("nan") if is_gap(text) else float(text) if _NUMBER.fullmatch(text) else None
         return float(cell) if isinstance(cell, (int, float, np.number)) and not isinstance(cell, complex) else None
 
     return [read(cell) for cell in cells]

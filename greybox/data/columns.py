@@ -108,6 +108,13 @@ def describe_wrong_count(names: Sequence[str], columns: int) -> str:
 
 # What stands in a field where nothing was measured, besides nan in any spelling.
 GAPS = ("", "NA", "N/A", "#N/A", "n/a", "null", "NULL", "None")
+# Loggers and process-control systems write dashes as well.
+_NOT_MEASURED = re.compile(r"nan|-+", re.IGNORECASE)
+
+
+def is_gap(text: str) -> bool:
+    """Whether a field says that nothing was measured."""
+    return text in GAPS or _NOT_MEASURED.fullmatch(text) is not None
 
 
 def describe_non_numbers(

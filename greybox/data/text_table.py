@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.base import DataError, shorten
-from greybox.data.columns import GAPS, check_size, check_width, describe_non_numbers, describe_wrong_count
+from greybox.data.columns import GAPS, check_size, check_width, describe_non_numbers, describe_wrong_count, is_gap
 from greybox.data.headers import join_units
 from greybox.data.notation import is_notation
 from greybox.data.policy import READING_POLICY, ReadingPolicy
@@ -296,7 +296,7 @@ def _find_header_in_comments(
 def _holds_numbers(fields: Sequence[str]) -> bool:
     """Whether the fields are those of a row, not of a header: numbers and perhaps gaps."""
     numbers = [_is_value(field.replace(",", ".")) for field in fields]
-    return any(numbers) and all(is_number or field in GAPS for is_number, field in zip(numbers, fields, strict=True))
+    return any(numbers) and all(is_number or is_gap(field) for is_number, field in zip(numbers, fields, strict=True))
 
 
 def _is_value(text: str) -> bool:
@@ -469,6 +469,6 @@ def _to_numbers(texts: Sequence[str], decimal: str) -> tuple[np.ndarray, list[in
     for k, text in enumerate(texts):
         if NUMBER.fullmatch(text):
             values[k] = float(text)
-        elif text not in GAPS:
+        elif not is_gap(text):
             wrong.append(k)
     return values, wrong

@@ -14,13 +14,16 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from greybox.base import DataError, Finding, ModelError, Severity
+from greybox.data.data_frame import Frame
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.identity import find_shared_readings, refuse_repeated
 from greybox.data.noise.growing import GrowingNoise
+from greybox.data.read import as_experiments
 from greybox.discovery.answer import SearchAnswer, make_answer
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
 from greybox.discovery.conclusion import add_test_error, conclude, leave_out_small
@@ -44,7 +47,8 @@ from greybox.model import Effect, Model
 from greybox.model.effects import Scales
 from greybox.simulation.plant import Plant, PlantModel, as_model
 
-Records = Experiment | Sequence[Experiment]
+Records = Experiment | Frame | Sequence[Any]
+"""A record or several; a data frame is read for the model."""
 
 
 # Share of a limited time that the search for effects may take; the rest is for the rivals of what it finds.
@@ -149,26 +153,26 @@ def discover(
     ('named', ['coulomb_friction'])
     """
     began = time.perf_counter()
+    learnt, judges, tests, rests = (
+        name_records(as_experiments(records, as_model(model))) for records in (estimation, validation, test, quiet)
+    )
     options, policy, on_message = options or FitOptions(), policy or DiscoveryPolicy(), on_message or (lambda _: None)
     if options.to_loss() is not None:  # sets of effects are compared by squares: what the loss would limit is left out
-        estimation, validation, test = (
-            [e.without_spikes() for e in _as_tuple(r)] for r in (estimation, validation, test or ())
-        )
+        learnt, judges, tests = (tuple(r.without_spikes() for r in records) for records in (learnt, judges, tests))
         options = replace(options, loss="squares")
-    validation_set = ValidationSet(_as_tuple(validation), skip, beginning)
+    validation_set = ValidationSet(judges, skip, beginning)
     growing = [name for name, given in (noise or {}).items() if isinstance(given, GrowingNoise)]
     if growing:
         raise ModelError(
             f"noise of {', '.join(growing)} grows with the signal; a search takes a standard deviation for each row: fit the plain model,"
             " and give the records the noise of its run (Experiment.noise)"
         )
-    learnt = _as_tuple(estimation)
     refuse_repeated(learnt)
     if used := [shared.second.name for shared in find_shared_readings(validation_set.records, learnt)]:
         raise DataError(
             f"validation record {', '.join(used)}: it is fitted too, and what was fitted cannot judge; give another one"
         )
-    test_set = ValidationSet(_as_tuple(test) if test else (), skip, beginning)
+    test_set = ValidationSet(tests, skip, beginning)
     known = (*learnt, *validation_set.records)
     if used := [shared.second.name for shared in find_shared_readings(test_set.records, known)]:
         raise DataError(f"test record {', '.join(used)}: it takes part in the search already; give another one")
@@ -184,7 +188,7 @@ def discover(
             )
         return search_plant(
             model,
-            estimation,
+            learnt,
             partial(
                 discover,
                 skip=skip,
@@ -207,7 +211,7 @@ def discover(
             fitting={
                 "validation": validation_set.records,
                 "noise": noise,
-                "quiet": _as_tuple(quiet),
+                "quiet": rests,
                 "skip": skip,
                 "beginning": beginning,
             },
@@ -229,13 +233,13 @@ def discover(
     with refits.open():
         problem = DiscoveryProblem(
             model,
-            _as_tuple(estimation),
+            learnt,
             dict(noise or {}),
-            _as_tuple(quiet),
+            rests,
             options,
             refits,
             given=tuple(effect.name for effect in model.effects),
-            user_settings=FitSettings(dict(noise or {}), _as_tuple(quiet), options),
+            user_settings=FitSettings(dict(noise or {}), rests, options),
         )
         # Where a record has to begin as it is told there are no stretches with first states of their own.
         unstable = _tell_if_errors_grow(problem.baseline, options, not (options.at_rest or skip or beginning))
@@ -384,10 +388,6 @@ def _cut(records: Sequence[Experiment], stretch: float) -> tuple[Experiment, ...
         ends = np.linspace(0, record.rows, count + 1).astype(int)
         parts += [record.window(*pair) for pair in pairwise(ends.tolist())] if count > 1 else [record]
     return tuple(parts)
-
-
-def _as_tuple(records: Records) -> tuple[Experiment, ...]:
-    return name_records(records)
 
 
 # Several records as witnesses: a load, a temperature, a voltage that constants follow.

@@ -56,7 +56,7 @@ def describe(value: Any, **options: Any) -> Document:
     return Document(type(value).__name__, details=[Paragraphs([written])] if isinstance(written, str) else written)
 
 
-def text(value: Any, width: int = LINE_WIDTH, *, details: bool = False) -> str:
+def text(value: Any, width: int = LINE_WIDTH, *, details: bool | None = None) -> str:
     """A result in plain text: what ``print(value)`` shows; with ``details`` all that a terminal can show.
 
     A value that is one text stays in its lines: it is part of others.

@@ -81,6 +81,15 @@ def test_verbs_take_frames(frame):
     assert len(gb.predict(fit, frame)["x"]) == 120
     many = gb.multistart(lag, frame, starts=2, noise={"x": 1e-3}, workers=1)
     assert many.best.parameters["T"].value == pytest.approx(fit.parameters["T"].value, rel=1e-6)
+    found = gb.discover(lag, frame[:80], validation=frame[80:], noise={"x": 1e-3}, effects=[gb.effect("sensor_offset")])
+    from_records = gb.discover(
+        lag,
+        gb.read_csv(frame[:80], lag),
+        validation=gb.read_csv(frame[80:], lag),
+        noise={"x": 1e-3},
+        effects=[gb.effect("sensor_offset")],
+    )
+    assert found.verdict == from_records.verdict and found.best.misfit == from_records.best.misfit
     with pytest.raises(DataError, match="no column for input 'u'"):
         gb.fit(lag, frame.drop(columns="u [V]"))
 

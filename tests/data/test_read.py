@@ -136,7 +136,7 @@ def test_parquet_nulls_are_gaps(tmp_path):
     same(read_csv(tmp_path / "run.parquet", RIG), np.append(np.nan, np.arange(1.0, N)))
 
 
-@pytest.mark.parametrize("gap", ["", "nan", "NaN", "NA", "n/a", "null", ' ""'])
+@pytest.mark.parametrize("gap", ["", "nan", "NaN", "NA", "n/a", "null", "-", "----", ' ""'])
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 def test_gaps_of_an_output_stay_gaps(tmp_path, gap, separator):
     path = good(tmp_path / "run.csv", separator=separator)
@@ -481,7 +481,7 @@ def edited(path, edits, **how):
 LINE = "{t},0.5,1e-6,0"
 BAD_LINES = [
     ({5: "0.3,0.5,abc,0"}, "column 'x [m]', line 5: 'abc' is not a number; correct it, or leave"),
-    ({5: "0.3,?,1e-6,0", 9: "0.7,--,1e-6,0"}, "column 'u [V]', lines 5, 9: '?', '--' are not numbers"),
+    ({5: "0.3,?,1e-6,0", 9: "0.7,off,1e-6,0"}, "column 'u [V]', lines 5, 9: '?', 'off' are not numbers"),
     ({5: "0.3,0x10,1e-6,0"}, "column 'u [V]', line 5: '0x10' is not a number"),
     ({5: "0.3,True,1e-6,0"}, "column 'u [V]', line 5: 'True' is not a number"),
     ({5: "0.3,1_000,1e-6,0"}, "column 'u [V]', line 5: '1_000' is not a number"),

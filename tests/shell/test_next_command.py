@@ -143,7 +143,10 @@ def test_other_starts_after_a_fit_at_a_bound() -> None:
 
 def test_a_robust_loss_after_a_fit_that_glitches_swamp():
     glitched = make_fit(findings=(Finding(RecordCode.SENSOR_SPIKES, subject="w"),))
-    assert next_command(parse("fit", [*FILES]), glitched, Path("f")).spell(COMMANDS) == "greybox fit rig.py a.csv --loss huber"
+    assert (
+        next_command(parse("fit", [*FILES]), glitched, Path("f")).spell(COMMANDS)
+        == "greybox fit rig.py a.csv --loss huber"
+    )
     again = next_command(parse("fit", [*FILES, "--loss", "huber"]), glitched, Path("f")).spell(COMMANDS)
     assert again == "greybox discover rig.py a.csv --loss huber"
 

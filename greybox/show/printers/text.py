@@ -23,8 +23,11 @@ MOST_NOTES, NOTE_LINES = 5, 9
 MOST_ROWS = 12
 
 
-def print_text(document: doc.Document, width: int = LINE_WIDTH, *, details: bool = False) -> str:
-    """The answer, the table and the notes of a document; with ``details`` all else that a terminal can show."""
+def print_text(document: doc.Document, width: int = LINE_WIDTH, *, details: bool | None = None) -> str:
+    """The answer, the table and the notes of a document; with ``details`` all else that a terminal can show.
+
+    Where something is left out ``--details`` is named, or what gives a page in Python, where nobody said anything of ``details``.
+    """
     if not document.answer:
         return print_blocks(document.details, width)
     tables = (block_lines(_shorten(table, details), width) for table in document.table)
@@ -33,16 +36,16 @@ def print_text(document: doc.Document, width: int = LINE_WIDTH, *, details: bool
     return "\n\n".join([*text, *([print_blocks(document.details, width)] if details and document.details else [])])
 
 
-def _shorten(table: doc.Block, details: bool) -> doc.Block:
+def _shorten(table: doc.Block, details: bool | None) -> doc.Block:
     """The first rows of a long table."""
     left = len(table.rows) - MOST_ROWS if isinstance(table, doc.TableBlock) and not details else 0
     if not isinstance(table, doc.TableBlock) or left < 2:
         return table
-    more = [f"... {left} more with --details", *[""] * (len(table.head) - 1)]
+    more = [f"... {left} more{'' if details is None else ' with --details'}", *[""] * (len(table.head) - 1)]
     return replace(table, rows=[*table.rows[:MOST_ROWS], more])
 
 
-def _note_lines(notes: Sequence[doc.Text], width: int, details: bool) -> list[str]:
+def _note_lines(notes: Sequence[doc.Text], width: int, details: bool | None) -> list[str]:
     """Notes, the worst first, as many as there is room for; how many are left."""
     lines: list[str] = []
     # Different findings may be one sentence.
@@ -50,7 +53,8 @@ def _note_lines(notes: Sequence[doc.Text], width: int, details: bool) -> list[st
     for k, text in enumerate(texts):
         new = wrap(text if text.startswith("remedy: ") else f"note: {text}", width, "  ")
         if not details and k and (k == MOST_NOTES or len(lines) + len(new) > NOTE_LINES):
-            return [*lines, f"({count_noun(len(texts) - k, 'more note')}: --details, or the page)"]
+            rest = "gb.report(result, FOLDER)" if details is None else "--details, or the page"
+            return [*lines, f"({count_noun(len(texts) - k, 'more note')}: {rest})"]
         lines += new
     return lines
 
