@@ -44,6 +44,10 @@ SENTENCES = {
         Finding(Code.STUDY_FIELDS_UNUSED, subject="study.toml", values={"places": ["[priors]", "[records] skip"]}),
         "study.toml: a check does not use [priors], [records] skip",
     ),
+    Code.OTHER_MODEL_IN_STUDY: (
+        Finding(Code.OTHER_MODEL_IN_STUDY, subject="study.toml", values={"lines": ["B was 1 and is 2"]}),
+        "study.toml: written for another model: B was 1 and is 2",
+    ),
     Code.UNUSED_PARAMETER: (
         Finding(Code.UNUSED_PARAMETER, subject="q"),
         "parameter 'q' is in no equation: a term is missing, or the parameter is not needed",
