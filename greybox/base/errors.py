@@ -60,17 +60,38 @@ class OutputError(GreyboxError, OSError):
         return f"{self.filename}: cannot be written ({self.strerror}); what was there before stands"
 
 
-# What models, solvers and compilers raise: errors of this library, CasADi's (RuntimeError), those of linear algebra and of arithmetic,
-# ValueError of numerical libraries for arrays that are not finite, and what a compiler or a full disk gives. Any other is a bug.
-NUMERICAL_ERRORS = (GreyboxError, RuntimeError, ValueError, ArithmeticError, OSError, MemoryError)
+# What models, solvers and compilers raise: errors of this library, CasADi's (RuntimeError), those of arithmetic, and what a compiler or a
+# full disk gives.
+NUMERICAL_ERRORS = (GreyboxError, RuntimeError, ArithmeticError, OSError, MemoryError)
+
+
+def is_numerical(error: Exception) -> bool:
+    """Whether models, solvers and compilers raise such an error, so that it is a result of theirs; any other is a bug.
+
+    ``ValueError`` is what libraries raise for arrays that are not finite and for singular matrices. Raised in a line of this library, or by
+    NumPy called there, it is a wrong shape.
+    """
+    if not isinstance(error, ValueError):
+        return isinstance(error, NUMERICAL_ERRORS)
+    is_plain = type(error) is ValueError and "NaN" not in str(error)  # a singular matrix is a class of NumPy's
+    return not (is_plain and _package_of(error, but="numpy") == _OWN)
 
 
 def is_own_bug(error: Exception) -> bool:
-    """Whether lines of this library raised an error that models, solvers and compilers do not: it must end the run."""
-    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
-    is_ours = bool(frames) and str(frames[-1].f_globals.get("__name__")).partition(".")[0] == __name__.partition(".")[0]
+    """Whether lines of this library raised an error that neither models and solvers nor damaged files do: it must end the run."""
     # A class of another library (zlib.error) comes from its compiled code, which has no line of its own.
-    return is_ours and type(error).__module__ == "builtins" and not isinstance(error, NUMERICAL_ERRORS)
+    is_expected = isinstance(error, (*NUMERICAL_ERRORS, ValueError)) or type(error).__module__ != "builtins"
+    return _package_of(error) == _OWN and not is_expected
+
+
+_OWN = __name__.partition(".")[0]
+
+
+def _package_of(error: Exception, but: str = "") -> str:
+    """The package whose line raised an error, apart from one that was called there."""
+    modules = [str(frame.f_globals.get("__name__")) for frame, _ in traceback.walk_tb(error.__traceback__)]
+    packages = [module.partition(".")[0] for module in modules]
+    return next((package for package in reversed(packages) if package != but), "")
 
 
 class WorkersLostError(GreyboxError):

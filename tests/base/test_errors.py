@@ -1,12 +1,15 @@
-"""Which errors end a run: those that no model, solver or compiler raises, in lines of the library itself."""
+"""Which errors end a run: those that no model, solver or compiler raises, and in lines of the library itself a wrong shape."""
 
 import json
 import zlib
 from functools import partial
 
+import numpy as np
 import pytest
+from scipy import linalg
 
-from greybox.base.errors import DataError, is_own_bug, nearest
+from greybox.base.errors import DataError, is_numerical, is_own_bug, nearest
+from greybox.base.linear_algebra import are_independent, decompose_columns
 
 
 def raise_own():
@@ -42,3 +45,27 @@ def test_a_bug_is_told_from_what_models_and_other_libraries_raise(run, is_bug):
     with pytest.raises((TypeError, DataError, zlib.error)) as caught:
         run()
     assert is_own_bug(caught.value) is is_bug
+
+
+def test_a_wrong_shape_in_lines_of_the_library_is_a_bug_and_no_result():
+    for matrix, library in ((np.zeros(3), decompose_columns), ([[1.0], [1.0, 2.0]], are_independent)):
+        with pytest.raises(ValueError) as caught:
+            library(matrix)
+        assert not is_numerical(caught.value), library
+
+
+@pytest.mark.parametrize(
+    "run",
+    [
+        partial(decompose_columns, np.full((2, 2), np.nan)),
+        partial(linalg.cho_factor, np.full((2, 2), np.nan)),
+        partial(np.asarray_chkfinite, [np.inf]),
+        partial(linalg.solve, np.zeros((2, 2)), np.zeros(3)),
+        partial(float, "of a user's function"),
+        refuse,
+    ],
+)
+def test_what_numbers_and_the_functions_of_users_raise_is_a_result(run):
+    with pytest.raises((ValueError, DataError)) as caught:
+        run()
+    assert is_numerical(caught.value)

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from greybox.base.errors import NUMERICAL_ERRORS, GreyboxError, WorkersLostError
+from greybox.base.errors import GreyboxError, WorkersLostError, is_numerical
 from greybox.base.interrupts import hold_interrupts
 from greybox.base.parallel.cluster import WorkersHealth, adopt_executor, open_cluster, watch_executor
 from greybox.base.parallel.local_pool import (
@@ -272,6 +272,8 @@ def _run_timed(job: Callable[[Any, Any], Any], common: Any, item: Any) -> JobRes
     began = time.perf_counter()
     try:
         return JobResult(job(common, item), "", time.perf_counter() - began)
-    except NUMERICAL_ERRORS as error:
+    except Exception as error:
+        if not is_numerical(error):
+            raise
         text = str(error) if isinstance(error, GreyboxError) else f"{type(error).__name__}: {error}"
         return JobResult(None, text, time.perf_counter() - began)
