@@ -61,7 +61,7 @@ from greybox.discovery.result import Discovery, RankedCandidate, quote_test_erro
 from greybox.discovery.search import LEAST_PROMISE, find_named_winner
 from greybox.discovery.summary import list_law_ranges, summarise, summarise_laws
 from greybox.discovery.surrogate import Surrogate, fit_stand_in
-from greybox.discovery.table import RESAMPLES, Draws, FitTable
+from greybox.discovery.table import RESAMPLES, Draws, FitTable, key_of
 from greybox.estimation import Fit
 from greybox.model.parts import read_parts
 
@@ -442,7 +442,7 @@ def _weigh(answer: SearchAnswer) -> SearchAnswer:
         has_rivals = problem.failures.attempt(SearchStage.EVIDENCE, chosen.effects, objecting, None) is not None
         draws = search.draw(RESAMPLES, (chosen,))
         winner = leave_out_small(table, find_named_winner(draws, search.baseline))
-        if winner.effects == chosen.effects or handover == MOST_HANDOVERS or problem.executor.is_late:
+        if key_of(winner) == key_of(chosen) or handover == MOST_HANDOVERS or problem.executor.is_late:
             break
         answer = _hand_over(answer, winner)
     terms = {name for name in chosen.effects if is_law(name)}
@@ -505,7 +505,7 @@ def _hand_over(answer: SearchAnswer, winner: FittedCandidate) -> SearchAnswer:
     """The answer with another set in its place; as it was where that cannot be run over the records that judge."""
     answer.search.add_in_place(winner)
     made = make_answer(answer.search, winner)
-    if made.candidate.effects != winner.effects:
+    if key_of(made.candidate) != key_of(winner):
         return answer
     made = replace(
         answer, candidate=made.candidate, plain=made.plain, scores=made.scores, base=made.base, best=made.best

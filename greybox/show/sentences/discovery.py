@@ -299,7 +299,8 @@ def _usual_first(finding: Finding) -> str:
     if v["odds"] > 1.5:
         text += f" ({v['odds']:.0f} to 1{' or more' if v['odds'] >= MOST_ODDS else ''})"
     shares = [f"{100 * v[key]:.0f} %" for key in ("share", "best_share")]
-    return f"{text}: it takes {shares[0]} of the error, the best of all ({rival_text(v['best'])}) {shares[1]}."
+    # Those of the resamples, in which every record judges now and then: the table of sets has the errors on the validation records.
+    return f"{text}: over all records it takes {shares[0]} of the error, the best of all ({rival_text(v['best'])}) {shares[1]}."
 
 
 @writes(DiscoveryCode.ASK_PART)

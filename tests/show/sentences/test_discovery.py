@@ -518,7 +518,7 @@ FINDINGS = [
             "best": "second_mode + cogging",
         },
         "By the records alone Bouc-Wen hysteresis or second mode and cogging; by what such rigs usually have, coulomb friction and constant"
-        " load (5 to 1): it takes 84 % of the error, the best of all (second mode and cogging) 91 %.",
+        " load (5 to 1): over all records it takes 84 % of the error, the best of all (second mode and cogging) 91 %.",
     ),
     (
         Code.ASK_PART,
