@@ -49,7 +49,7 @@ from greybox.discovery.holdout import (
     validate_candidate,
     worst_output,
 )
-from greybox.discovery.laws.search import propose_laws
+from greybox.discovery.laws.search import LawProposer
 from greybox.discovery.laws.terms import Law, claimed_name, describe_laws, is_law, write_effect
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
 from greybox.discovery.plausibility import prefer_usual
@@ -168,14 +168,13 @@ def _look_for_laws(answer: SearchAnswer, problem: DiscoveryProblem) -> tuple[Sea
     if answer.is_open and answer.has_certain_name:
         known = answer.candidate
         beside = problem.refit_best(known.model, [known.model.values], 1, like=known) or beside
-    proposal = propose_laws(problem, table.scores, beside, search.on_message)
-    if not beside.effects:
-        search.baseline = proposal.beside
-    table.add(search.baseline, proposal.beside, *proposal.laws)
-    draws = table.draw(table.candidates)
-    selected = draws.sets[Weights.of(draws).leading].candidate if draws.sets else proposal.beside
+    laws = LawProposer(problem, table.scores, search.on_message)
+    looking = replace(search, candidates=(), laws=laws, further=True)
+    looking.run(beside)
+    selected = looking.find_winner(looking.draw(RESAMPLES))
+    search.baseline = looking.baseline
     search.add_in_place(selected)
-    return make_answer(search, selected), proposal.tried
+    return make_answer(search, selected), laws.tried
 
 
 def _settle(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:

@@ -20,6 +20,7 @@ from greybox.discovery.claims import Weights
 from greybox.discovery.decision import EXCESS_AUTOCORRELATION, make_check
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
+from greybox.discovery.laws.search import LawProposer
 from greybox.discovery.linear import EffectPromise, LinearRun
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import (
@@ -131,6 +132,8 @@ class EffectSearch:
         Whether the search goes on where only noise is left.
     left_out
         Effects on the table that are none of its candidates: a set with one of them is not read.
+    laws
+        Proposes terms of equations in the place of the candidates; None for these.
     places
         Of each set with a curve or a tone where that stands, and the signal that it was proposed for.
     """
@@ -143,6 +146,7 @@ class EffectSearch:
     on_message: MessageCallback
     further: bool = False
     left_out: frozenset[str] = frozenset()
+    laws: LawProposer | None = None
     baseline: FittedCandidate = field(init=False)
     steps: list[SelectionStep] = field(init=False, default_factory=list)
     places: dict[SetKey, CurvePlace] = field(init=False, default_factory=dict)
@@ -154,11 +158,16 @@ class EffectSearch:
         self.baseline = self.problem.baseline
         self.table.add(self.baseline)
 
-    def run(self) -> FittedCandidate:
-        """The set that wins, the plain model among them; all that was fitted is on the table."""
-        winner = self.baseline
+    def run(self, begin: FittedCandidate | None = None) -> FittedCandidate:
+        """The set that wins, the plain model among them; all that was fitted is on the table. It begins at a set, the plain one if none."""
+        winner = begin or self.baseline
+        self.table.add(winner)
         for _ in range(MOST_EFFECTS + 1):
-            self._add_promising(self._list_bases(winner))
+            if self.laws is None:
+                self._add_promising(self._list_bases(winner))
+            else:
+                self.table.add(*self.laws.propose(winner))
+                self.baseline = self.table.get(()) or self.baseline
             for fit in self._best(MOST_RELATED):
                 self._add_relatives(fit)
             self._finish_leading()
@@ -214,6 +223,8 @@ class EffectSearch:
         """Whether nothing is worth looking for: only noise is left of a level that somebody told, or the set is full."""
         if len(fit.effects) >= MOST_EFFECTS:
             return True
+        if self.laws is not None:
+            return self.laws.is_clean(fit)
         if self.further or not is_level_known(self.problem.noise_model):
             return False
         is_clean = fit.per_sample <= noise_cost_limit(fit.count)
