@@ -169,7 +169,7 @@ def _look_for_laws(answer: SearchAnswer, problem: DiscoveryProblem) -> tuple[Sea
         known = answer.candidate
         beside = problem.refit_best(known.model, [known.model.values], 1, like=known) or beside
     laws = LawProposer(problem, table.scores, search.on_message)
-    looking = replace(search, candidates=(), laws=laws, further=True)
+    looking = replace(search, candidates=(), laws=laws)
     looking.run(beside)
     selected = looking.find_winner(looking.draw(RESAMPLES))
     search.baseline = looking.baseline
