@@ -32,6 +32,8 @@ LEADING_DECREASE = 100.0
 RIVAL_DECREASE = 30.0
 # Terms that are refitted by simulation after that: alone, and as a second one.
 REFITTED_TERMS, SECOND_TERMS = 10, 4
+# Laws that come on the table, those of the least criterion.
+LEADING_LAWS = 6
 # Iterations of such a refit.
 LAW_REFIT_ITERATIONS = 40
 # Gauss-Newton steps in the observer of the constants beside which terms are ranked.
@@ -87,16 +89,22 @@ class LawProposer:
         self.tried += len(ranked)
         self.on_message(str(Finding(DiscoveryCode.LAW_TERMS_RANKED, values={"terms": self.tried})))
         chosen = screening.choose_terms(ranked, sum(OBSERVED_TERMS))
-        name, most = (f"{LAW}_{known + 1}", SECOND_TERMS) if known else (LAW, REFITTED_TERMS)
+        most = SECOND_TERMS if known else REFITTED_TERMS
+        name = next(n for n in (LAW, f"{LAW}_2") if n not in base.effects)
+        laws: list[tuple[float, FittedCandidate]] = []
         first = 0
         for count in OBSERVED_TERMS[: 1 if known else None]:
             batch = screening.observe_terms(self.problem, self.nominal, chosen[first : first + count], name)
             first += count
-            laws = self._refit_leading([one for _, one in batch[:most]])
-            fits += laws
-            if any(map(self.is_clean, laws)) or self.problem.executor.is_late:
+            laws += self._refit_leading(batch[:most])
+            if any(self.is_clean(fit) for _, fit in laws) or self.problem.executor.is_late:
                 break
-        return fits
+        if known:
+            # The second term alone: the first may have stood in for it.
+            first_law = next(e.name for e in base.model.effects if is_law(e.name))
+            alone = [self.problem.refit_without(fit, first_law, 1, LAW_REFIT_ITERATIONS) for _, fit in laws]
+            fits += [fit for fit in alone if fit is not None]
+        return [*fits, *(fit for _, fit in sorted(laws, key=lambda law: law[0])[:LEADING_LAWS])]
 
     def is_clean(self, candidate: FittedCandidate) -> bool:
         """Whether only noise is left, on the validation records within what the uncertainty of constants and first states does there."""
@@ -119,14 +127,17 @@ class LawProposer:
         names = tuple(e.name for e in model.effects)
         return self.problem.failures.attempt(SearchStage.SCREENING, names, fit, None)
 
-    def _refit_leading(self, batch: Sequence[screening.ObservedModel]) -> list[FittedCandidate]:
-        """Refits by simulation, best first: no more than may do as well once one of them leaves only noise."""
-        fits: list[FittedCandidate] = []
-        for one in batch:
-            limit = RIVAL_DECREASE if any(map(self.is_clean, fits)) else LEADING_DECREASE
-            if one.objective - batch[0].objective > limit:
+    def _refit_leading(
+        self, batch: Sequence[tuple[screening.TermStart, screening.ObservedModel]]
+    ) -> list[tuple[float, FittedCandidate]]:
+        """Refits by simulation with Schwarz's criterion and a cost for complexity: no more than may do as well once one is clean."""
+        fits: list[tuple[float, FittedCandidate]] = []
+        for start, one in batch:
+            limit = RIVAL_DECREASE if any(self.is_clean(fit) for _, fit in fits) else LEADING_DECREASE
+            if one.objective - batch[0][1].objective > limit:
                 break
-            fits += self._refit([one])
+            cost = screening.COMPLEXITY_COST * start.term.complexity
+            fits += [(fit.criterion + cost, fit) for fit in self._refit([one])]
         return fits
 
     def _refit(self, observed: Sequence[screening.ObservedModel]) -> list[FittedCandidate]:
