@@ -12,7 +12,7 @@ from greybox.base import DataError, Finding, ModelError, nearest
 from greybox.discovery.execution import FailureLog, SearchStage, reason_of
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.problem import FittedCandidate, StartValues
-from greybox.estimation.identifiability.structural import analyse_structural_identifiability
+from greybox.estimation.identifiability.structural import find_certainly_open_directions
 from greybox.estimation.reading_errors import GAINS
 from greybox.model import Effect, Model
 from greybox.model.effects import Scales, all_effects, applicable_effects, measure_scales, tailor_to_record
@@ -180,13 +180,13 @@ def _find_imitation(model: Model, entry: Effect, tried: Sequence[Effect]) -> Fin
         for scale in (scaled.names_of(effect.name)[name] for name in effect.amplitudes):
             scaled, effect_of[scale] = scaled.start(**{scale: SCALED_BY}), effect.name
     try:
-        structure = analyse_structural_identifiability(scaled)
+        directions = find_certainly_open_directions(scaled)
     except (ModelError, DataError):
         # A model that cannot be run at random constants: nothing is known against the effect.
         return None
     # The amplitude of ``entry`` was the last. What moves a reading may be nothing but another start.
-    taking = [d.names for d in structure.directions if scale in d.names and (len(d.names) > 1 or base == OFFSET)]
-    if not (taking and structure.certain):
+    taking = [d.names for d in directions if scale in d.names and (len(d.names) > 1 or base == OFFSET)]
+    if not taking:
         return None
     others = [name for name in min(taking, key=len) if name != scale]
     if effects := list(dict.fromkeys(effect_of[name] for name in others if name in effect_of)):

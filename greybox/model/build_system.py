@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Any
+from weakref import WeakSet
 
 import casadi as ca
 
@@ -54,12 +56,9 @@ def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
     Raises ModelError for an effect that is added twice, acts at a place that the model does not have, or needs a unit of something that
     it does not have.
     """
-    plant: tuple[Item, ...] = (*statement.states, *statement.inputs, *statement.parameters)
-    taken = {item.name for item in plant}
-    base = _plant_balances(statement)
-    units = _units_by_word(statement, base)
-    sites = list_sites(statement.states, statement.inputs, statement.outputs, base)
-    relations = {b.name: b.state for b in base if stores_nothing(b)}
+    items: tuple[Item, ...] = (*statement.states, *statement.inputs, *statement.parameters)
+    taken = {item.name for item in items}
+    plant = read_plant(statement)
     placed: list[PlacedEffect] = []
     for effect in statement.effects:
         if any(effect.name == other.effect.name for other in placed):
@@ -67,12 +66,15 @@ def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
                 f"model {statement.name!r} already has the effect {effect.name!r}; an effect can be added once"
             )
         site = (
-            require_site(effect.name, effect.site, statement.name, sites, statement.inputs) if effect.site else NOWHERE
+            require_site(effect.name, effect.site, statement.name, plant.sites, statement.inputs)
+            if effect.site
+            else NOWHERE
         )
-        _check_place(effect, site, relations)
-        words = {word: unit for word, unit in (units | _unit_words(site.units)).items() if site.states.get(word) != ""}
-        items: tuple[Item, ...] = (*effect.parameters, *effect.states)
-        names = {item.name: f"{effect.name}.{item.name}" if item.name in taken else item.name for item in items}
+        _check_place(effect, site, plant.relations)
+        units = plant.units | _unit_words(site.units)
+        words = {word: unit for word, unit in units.items() if site.states.get(word) != ""}
+        own: tuple[Item, ...] = (*effect.parameters, *effect.states)
+        names = {item.name: f"{effect.name}.{item.name}" if item.name in taken else item.name for item in own}
         parameters = tuple(
             ParameterSymbol(names[q.name], _fill_unit(q.unit, words, effect, statement.name), q.role)
             for q in effect.parameters
@@ -103,15 +105,53 @@ def _check_place(effect: EffectEquations, site: Site, relations: Mapping[str, st
             )
 
 
-def plant_sites(statement: Statement) -> tuple[Site, ...]:
-    """The sites of a plant, whatever effects it has."""
-    return list_sites(statement.states, statement.inputs, statement.outputs, _plant_balances(statement))
+@dataclass(frozen=True, eq=False)
+class PlantEquations:
+    """What a plant states itself, the same whatever effects are added to it.
+
+    ``sites``: where effects may act; ``relations``: balance that stores nothing -> its state; ``units``: what the words in the units of an
+    effect stand for; ``written``: every line that its functions state, by its place.
+    """
+
+    sites: tuple[Site, ...]
+    relations: Mapping[str, str]
+    units: dict[str, str]
+    written: Mapping[str, str]
+
+
+def read_plant(statement: Statement) -> PlantEquations:
+    """The plant of a statement, checked: a search adds effects to one plant a thousand times.
+
+    Raises ModelError for names that clash, and for balances and outputs that are no expressions.
+    """
+    plant = statement._replace(effects=(), ties=(), delay_ranges=())
+    try:
+        hash(plant)
+    except TypeError:
+        return _read_plant(plant)
+    return _read_plant_once(plant)
+
+
+def _read_plant(plant: Statement) -> PlantEquations:
+    validation.check_names(plant)
+    validation.check_expressions(plant)
+    written = _write_plant(plant)
+    balances = plant.balances(*_plant_symbols(plant))
+    return PlantEquations(
+        list_sites(plant.states, plant.inputs, plant.outputs, balances),
+        {b.name: b.state for b in balances if stores_nothing(b)},
+        _units_by_word(plant, balances),
+        written,
+    )
+
+
+_read_plant_once = lru_cache(maxsize=64)(_read_plant)
 
 
 def build_system(statement: Statement) -> System:
     """The equations of a model, effects applied in the order in which they were added."""
     effects = place_effects(statement)
-    relations = {b.state for b in _plant_balances(statement) if stores_nothing(b)}
+    relations = {*read_plant(statement).relations.values()}
     dynamic = tuple(s for s in statement.states if s.name not in relations)
     states = (*dynamic, *(s for e in effects for s in e.states))
     every = (*statement.parameters, *(q for e in effects for q in e.parameters))
@@ -404,10 +444,6 @@ def _plant_symbols(statement: Statement) -> tuple[NamedValues, NamedValues, Name
     )
 
 
-def _plant_balances(statement: Statement) -> list[Balance]:
-    return statement.balances(*_plant_symbols(statement))
-
-
 def _start(
     statement: Statement,
     dynamic: Sequence[State],
@@ -534,30 +570,32 @@ def hold_inside_bounds(rhs: ca.SX, x: ca.SX, states: Sequence[State]) -> ca.SX:
 # The equations of models that were written out before: a search changes numbers a thousand times and equations rarely.
 
 
-def build_checked_system(statement: Statement) -> System:
+def build_checked_system(statement: Statement, asked: WeakSet[Callable[..., Any]] | None = None) -> System:
     """Write out the equations of a model and check all of it that no value of a parameter can change.
+
+    ``asked`` holds the functions of effects that stated the same when they were asked twice, at whatever site: they are asked once now.
 
     Raises ModelError for names that clash or are unknown and for balances or outputs that are no expressions, UnitError for a term whose
     unit is not its balance's.
     """
-    validation.check_names(statement)
-    validation.check_expressions(statement)
-    written = _write_plant(statement)
+    written = read_plant(statement).written
     system = build_system(statement)
     unit_check.check_units(statement, system)
-    system = replace(system, written=written)
-    refuse_changing(statement, system)
-    # Functions of effects are asked a second time as well.
-    if statement.effects and str(build_system(statement).rhs) != str(system.rhs):
-        raise ModelError(_say_changing(statement, ", ".join(e.name for e in statement.effects), "", ""))
-    return system
+    functions = [function for effect in statement.effects for function in effect if callable(function)]
+    if not functions or asked is None or not all(function in asked for function in functions):
+        refuse_changing(statement, written)
+        if statement.effects and str(build_system(statement).rhs) != str(system.rhs):
+            raise ModelError(_say_changing(statement, ", ".join(e.name for e in statement.effects), "", ""))
+    if asked is not None:
+        asked.update(functions)
+    return replace(system, written=written)
 
 
-def refuse_changing(statement: Statement, system: System) -> None:
-    """Refuse functions of a model that state something else than when ``system`` was built. Raises ModelError with both lines."""
+def refuse_changing(statement: Statement, written: Mapping[str, str]) -> None:
+    """Refuse functions of a plant that state something else than what was ``written`` before. Raises ModelError with both lines."""
     now = _write_plant(statement)
-    for place in {**system.written, **now}:
-        before, after = system.written.get(place, "nothing"), now.get(place, "nothing")
+    for place in {**written, **now}:
+        before, after = written.get(place, "nothing"), now.get(place, "nothing")
         if before != after:
             raise ModelError(_say_changing(statement, place, before, after))
 
@@ -592,7 +630,7 @@ class SystemCache:
     """
 
     def __init__(self, size: int = 1024) -> None:
-        self._build = lru_cache(maxsize=size)(build_checked_system)
+        self._build = lru_cache(maxsize=size)(partial(build_checked_system, asked=WeakSet()))
 
     def system(self, statement: Statement) -> System:
         """The checked equations of a statement; one that cannot be hashed is written out every time.

@@ -153,7 +153,7 @@ class Model(Printable):
     @cached_property
     def sites(self) -> tuple[Site, ...]:
         """Every balance, input and output of the plant as a place where effects may act."""
-        return build_system.plant_sites(self.statement)
+        return build_system.read_plant(self.statement).sites
 
     @property
     def all_states(self) -> tuple[State, ...]:
@@ -258,7 +258,7 @@ class Model(Printable):
 
     def require_unchanged(self) -> None:
         """Refuse functions that state something else now than when the model was made: random numbers, a counter. Raises ModelError."""
-        build_system.refuse_changing(self.statement, self.system)
+        build_system.refuse_changing(self.statement, self.system.written)
 
     def require_equations(self, purpose: str) -> None:
         """Refuse ``purpose``, which begins the reason, where there are no equations. Raises ModelError."""

@@ -48,8 +48,9 @@ def test_a_bug_is_told_from_what_models_and_other_libraries_raise(run, is_bug):
 
 
 def test_a_wrong_shape_in_lines_of_the_library_is_a_bug_and_no_result():
-    for matrix, library in ((np.zeros(3), decompose_columns), ([[1.0], [1.0, 2.0]], are_independent)):
-        with pytest.raises(ValueError) as caught:
+    cases = (np.zeros(3), decompose_columns, "unpack"), ([[1.0], [1.0, 2.0]], are_independent, "inhomogeneous")
+    for matrix, library, words in cases:
+        with pytest.raises(ValueError, match=words) as caught:
             library(matrix)
         assert not is_numerical(caught.value), library
 

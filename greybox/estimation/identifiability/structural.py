@@ -19,7 +19,12 @@ from greybox.estimation.identifiability.combinations import (
     find_recommendations,
     free_parameter_indices,
 )
-from greybox.estimation.identifiability.sensitivity import compute_free_run_sensitivities, draw_constants, highest_ranks
+from greybox.estimation.identifiability.sensitivity import (
+    Sensitivity,
+    compute_free_run_sensitivities,
+    draw_constants,
+    highest_ranks,
+)
 from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity
 from greybox.model import Model, Output
 from greybox.model.validation import TIME_NAMES
@@ -146,17 +151,7 @@ def analyse_structural_identifiability(
         return StructuralIdentifiability(*common, 0, 0, (), (), (), np.inf, True, "")
     sensors = find_unmeasured_states(model)
     # With every sensor that could be added: one set of runs serves the recommendations as well.
-    measurable = add_sensors(model, sensors)
-    if measurable.system.linear:
-        method, which, pairs = "transfer functions and free responses", free_parameter_indices(measurable), []
-        for k in range(IDENTIFIABILITY_POINTS):
-            generator = np.random.default_rng((seed, k))
-            p = draw_constants(measurable, generator)
-            exact = compute_transfer_function_sensitivity(measurable.system, p, which, p[which], at_rest, generator)
-            pairs.append((exact, p))
-    else:
-        method = "free runs with a random input"
-        pairs = compute_free_run_sensitivities(measurable, at_rest, seed, IDENTIFIABILITY_POINTS)
+    method, pairs = _compute_sensitivities(add_sensors(model, sensors), at_rest, seed)
     points, values = [sensitivity for sensitivity, _ in pairs], [p for _, p in pairs]
     highest = highest_ranks(points, measured)
     ranks = list(highest.values())
@@ -172,18 +167,47 @@ def analyse_structural_identifiability(
         left = {o: np.linalg.norm(v - n @ (n.T @ v)) for o, n in null.items()}
         revealing = tuple(o for o in others if left[o] > DIRECTION_CUTOFF * np.linalg.norm(v))
         seen.append(replace(d, seen_by=revealing))
-    combinations = find_determined_combinations(model, [r.null_basis for r in ranks], [values[k] for k in highest])
+    determined = names
+    if directions:
+        nulls = [r.null_basis for r in ranks]
+        determined = tuple(c.text for c in find_determined_combinations(model, nulls, [values[k] for k in highest]))
     return StructuralIdentifiability(
         *common,
         ranks[0].rank,
         len(names),
         tuple(seen),
-        tuple(c.text for c in combinations) if directions else names,
+        determined,
         tuple(find_recommendations(model, points, measured, others, sensors)),
         min(r.gap for r in ranks),
         ranks[0].is_certain,
         method,
     )
+
+
+def find_certainly_open_directions(model: Model) -> tuple[OpenDirection, ...]:
+    """What the outputs of a model leave open whatever the record, and nothing else of `analyse_structural_identifiability`.
+
+    Empty as well where there is no clear gap of the rank. Raises DataError for a nonlinear model that overflows at every point.
+    """
+    pairs = _compute_sensitivities(model, at_rest=False, seed=0)[1]
+    highest = highest_ranks([sensitivity for sensitivity, _ in pairs], [o.name for o in model.outputs])
+    ranks = list(highest.values())
+    return tuple(find_open_directions(ranks, [q.name for q in model.free_parameters])) if ranks[0].is_certain else ()
+
+
+def _compute_sensitivities(model: Model, at_rest: bool, seed: int) -> tuple[str, list[tuple[Sensitivity, np.ndarray]]]:
+    """How, and the slopes of the outputs at random constants, with these."""
+    if not model.system.linear:
+        return "free runs with a random input", compute_free_run_sensitivities(
+            model, at_rest, seed, IDENTIFIABILITY_POINTS
+        )
+    which, pairs = free_parameter_indices(model), []
+    for k in range(IDENTIFIABILITY_POINTS):
+        generator = np.random.default_rng((seed, k))
+        p = draw_constants(model, generator)
+        exact = compute_transfer_function_sensitivity(model.system, p, which, p[which], at_rest, generator)
+        pairs.append((exact, p))
+    return "transfer functions and free responses", pairs
 
 
 def find_unmeasured_states(model: Model) -> list[str]:
