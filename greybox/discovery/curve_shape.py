@@ -320,7 +320,8 @@ def rank_dependences(
         return []
     ranked = [_depend_on(name, unit, z, w) for name, (z, unit) in variables.items() if np.ptp(z) > 0]
     ranked.sort(key=lambda d: -(d.share + max(d.loop - LOOP_SHARE, 0.0)))
-    motion = np.stack([z for z, _ in variables.values()], axis=1) if run is None else run
+    # A site may have no variable of its own: then the signal can be no more than a tone.
+    motion = np.reshape([z for z, _ in variables.values()], (len(variables), len(w))).T if run is None else run
     tone = find_tone(time, w, motion)
     if tone is not None and not (ranked and ranked[0].share > tone[1]):
         frequency, share = tone
@@ -349,7 +350,8 @@ def find_tone(time: np.ndarray, w: np.ndarray, motion: np.ndarray) -> tuple[floa
     share = float(power[near].sum() / power.sum())
     motion_power = np.abs(np.fft.rfft((motion - motion.mean(axis=0)) * window[:, None], axis=0)) ** 2
     total = motion_power.sum(axis=0)
-    driven = float(np.max(np.where(total > 0, motion_power[near].sum(axis=0) / np.where(total > 0, total, 1.0), 0.0)))
+    in_line = motion_power[near].sum(axis=0) / np.where(total > 0, total, 1.0)
+    driven = float(np.max(np.where(total > 0, in_line, 0.0), initial=0.0))
     # The line's position between the bins, by the parabola through the three highest in dB.
     shift = 0.0
     if 0 < top < len(power) - 1 and min(power[top - 1 : top + 2]) > 0:

@@ -165,6 +165,13 @@ def test_a_tone_that_the_input_has_is_none():
     assert rank_dependences(t, w, {"u": (np.sin(2 * np.pi * 50 * t + 1), "V")})[0].tone is None
 
 
+def test_a_site_without_variables_shows_a_tone_or_nothing():
+    t = np.arange(4000) * 2.5e-4
+    (tone,) = rank_dependences(t, np.sin(2 * np.pi * 50 * t), {})
+    assert tone.tone == pytest.approx(50, abs=0.5)
+    assert rank_dependences(t, np.random.default_rng(3).normal(size=t.size), {}) == []
+
+
 def test_the_stretch_is_where_the_misfit_varies_and_not_where_it_stands_still():
     residual = np.full((1000, 1), 0.1)
     residual[:300] = 50.0  # at an end of the range
