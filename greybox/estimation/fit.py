@@ -525,9 +525,10 @@ def has_lost_constants(optimum: SimulationOptimum, problem: EstimationProblem) -
     """Whether a search ended, above the noise, where more directions of the constants change nothing than at its start or near it.
 
     There a term has gone (an exponent that left the record, two of a sum that became one, a rate that ran away), and the slopes with it:
-    nothing leads back. A model whose constants the records never tell apart has as many such directions everywhere, and loses none.
+    nothing leads back. A model whose constants the records never tell apart has as many such directions everywhere, and loses none. Of
+    joined segments nothing is said: what they show is not what free runs from elsewhere show.
     """
-    if is_at_noise(optimum) or not np.isfinite(optimum.evaluation.cost):
+    if optimum.solution.joined or is_at_noise(optimum) or not np.isfinite(optimum.evaluation.cost):
         return False
     start = problem.variables
     size = np.where(start.base == 0, start.scale, np.abs(start.base))

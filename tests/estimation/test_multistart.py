@@ -307,6 +307,30 @@ def test_a_run_that_goes_far_astray_elsewhere_does_not_show_what_is_lost_here():
     assert found.starts == ()
 
 
+def test_what_arcs_do_not_show_is_not_held_against_free_runs():
+    """A drift from 1e-5/s on changes nothing within half a second, where each arc has a first state of its own, and much within twenty."""
+    model = Model(
+        "drifting",
+        [State("x", "1"), State("z", "1")],
+        [Input("u", "1")],
+        [Output("y", "1", lambda x, u, p: x.x + x.z)],
+        [Parameter("k", "1/s", 1.1), Parameter("drift", "1/s", 1e-5)],
+        lambda x, u, p: [
+            Balance("lag", "1/s", 1, "x", drive=p.k * u.u, loss=-p.k * x.x),
+            Balance("drift", "1/s", 1, "z", drift=p.drift),
+        ],
+    )
+    t = np.linspace(0, 20, 401)
+    u = np.sign(np.sin(0.9 * t))
+    y = lsim(([1.0], [1.0, 1.0]), u, t, interp=False)[1] + 1e-5 * t + 0.05 * np.sin(23 * t)
+    y += 0.01 * np.random.default_rng(0).normal(size=len(t))
+    found = fit(
+        model, Experiment("r", t, {"u": u}, {"y": y}, "zero"), noise={"y": 0.01}, options=FitOptions(arc_length=0.5)
+    )
+    assert EstimationCode.MISFIT_ABOVE_NOISE in codes(found.findings)
+    assert found.starts == ()
+
+
 def test_records_of_nothing_but_noise_are_told_and_not_searched():
     found = fit(rooney_biegler(), growth(noise()), noise={"y": 0.05}, options=REST)
     assert found.starts == ()
