@@ -28,7 +28,7 @@ from greybox.estimation.identifiability.transfer_functions import (
 from greybox.estimation.objective import ProcessNoiseTest
 from greybox.estimation.optimum import Optimum, PredictionOptimum
 from greybox.estimation.parameter_constancy import NOISE_RATIO, find_certain_ratio
-from greybox.estimation.record_trends import find_trend, shared_conditions, trend_values
+from greybox.estimation.record_trends import find_shared_noise, find_trend, shared_conditions, trend_values
 from greybox.estimation.result_parts import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem
@@ -54,6 +54,7 @@ class EstimationCode(StrEnum):
     INPUT_COURSE_OPEN = "input_course_open"
     INPUT_NOISE_COUNTED = "input_noise_counted"
     INPUT_NOISE_BIASES = "input_noise_biases"
+    NOISE_SHARED = "noise_shared"
     INPUT_BEFORE_OPEN = "input_before_open"
     # What the constants and the residual say.
     MODEL_DOES_NOT_FOLLOW = "model_does_not_follow"
@@ -276,6 +277,7 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     result += _find_other_courses(optimum)
     result += _find_inputs_before(optimum, estimates)
     result += _find_input_noise(optimum)
+    result += list_shared_noise(optimum.traces[:PAIRED_RECORDS])
     # What the data leave open, and what only looks determined.
     if covariance.degrees == 0:
         count = sum(int(np.isfinite(r.y).sum()) for r in problem.records)
@@ -656,6 +658,20 @@ def find_excluded_outputs(problem: EstimationProblem) -> tuple[Finding, ...]:
 
 # Error on validation records over that on the fitted ones from which the difference wants an explanation.
 VALIDATION_RATIO = 1.5
+
+
+# Records of which all pairs are compared.
+PAIRED_RECORDS = 20
+
+
+def list_shared_noise(fitted: Sequence[Trace], judging: Sequence[Trace] = ()) -> list[Finding]:
+    """Pairs of records, one of them ``judging`` if there are any, that hold one measurement twice by what the model leaves of them."""
+    pairs = [(b, a) for a in fitted for b in judging] or [(b, a) for k, b in enumerate(fitted) for a in fitted[:k]]
+    return [
+        Finding(EstimationCode.NOISE_SHARED, Severity.WARNING, b.name, {"other": a.name, "shared": r, "judges": bool(judging)})
+        for b, a in pairs
+        if (r := find_shared_noise(a, b))
+    ]
 
 
 def find_validation_issues(misfit: Mapping[str, Misfit], validation: Mapping[str, Misfit]) -> tuple[Finding, ...]:

@@ -36,6 +36,7 @@ from greybox.estimation.covariance import (
 from greybox.estimation.exchange import find_exchange
 from greybox.estimation.findings import (
     LAST_DIGIT,
+    PAIRED_RECORDS,
     EstimationCode,
     add_record_findings,
     find_fit_issues,
@@ -48,6 +49,7 @@ from greybox.estimation.findings import (
     find_validation_issues,
     is_at_noise,
     is_output_at_noise,
+    list_shared_noise,
 )
 from greybox.estimation.noise_loop import estimate_by_simulation_error, keep_best, summarise_outliers, to_huber
 from greybox.estimation.optim.minimisation import TerminationStatus
@@ -285,6 +287,7 @@ def fit(
                 if f.code == RecordCode.ALSO_FITTED
             ),
             *find_validation_issues(result.misfit, judged.misfit),
+            *list_shared_noise(result.traces[:PAIRED_RECORDS], judged.traces[:PAIRED_RECORDS]),
         )
         result = replace(result, validation=judged, findings=(*result.findings, *issues))
     if raise_on_failure and not result.success:

@@ -16,6 +16,7 @@ import numpy as np
 
 from greybox.base import pseudo_inverse
 from greybox.data.experiment import Experiment
+from greybox.estimation.result_parts import Trace
 
 # Probability with which values that are the same are said to differ, and values that follow no condition to follow one.
 ERROR_PROBABILITY = 0.01
@@ -191,3 +192,57 @@ def trend_values(trend: RecordTrend, unit: str, records: int) -> dict[str, Any]:
         "unit": unit,
         "records": records,
     }
+
+
+# One measurement in two records: what the model leaves of them is one noise, though readings were averaged, scaled or given fresh noise.
+
+# Correlation of two residuals from which they are one; what an incomplete model leaves of repeated experiments has a colour: it is not asked.
+SHARED_NOISE = 0.4
+# ... in its standard deviation over records that share nothing, the best of all alignments among thousands of rows.
+SHARED_DEVIATIONS = 6.0
+# Lag-one correlation up to which a residual is noise, and not what the model lacks.
+WHITE = 0.3
+# A residual of coarse readings is decided by the signal: records that repeat it share it.
+LEAST_STEPS = 1.0
+# Deviations beyond which a residual is cut: a few glitches at the same place are no shared noise.
+CUT_DEVIATIONS = 2.5
+# Rows of a record that are compared: copies show it in these, and all pairs of many long records take seconds.
+COMPARED_ROWS = 20000
+
+
+def find_shared_noise(first: Trace, second: Trace) -> float:
+    """The correlation of what the model leaves of two records, where it is one noise in any of their outputs; 0 elsewhere.
+
+    Rows are aligned where they agree best, and those of the denser record averaged where it has several times as many.
+    """
+    shared = 0.0
+    for name in first.measured.keys() & second.measured.keys():
+        residuals = [_standardise(t, name) for t in (first, second)]
+        if any(r is None for r in residuals):
+            continue
+        short, dense = sorted((r for r in residuals if r is not None), key=len)
+        for factor in {1, round(len(dense) / len(short))}:
+            rows = len(dense) // factor
+            whole = dense[: rows * factor].reshape(rows, factor).mean(axis=1) * np.sqrt(factor)
+            size = 2 ** int(np.ceil(np.log2(rows + len(short))))
+            # c_s = sum_t a_t b_{t+s} at all shifts s, by the theorem of convolution.
+            products = np.fft.irfft(np.fft.rfft(whole, size) * np.conj(np.fft.rfft(short, size)), size)
+            best = float(products[np.argmax(np.abs(products))]) / len(short)
+            if abs(best) > max(SHARED_NOISE, SHARED_DEVIATIONS / np.sqrt(len(short)), abs(shared)):
+                shared = best
+    return shared
+
+
+def _standardise(trace: Trace, name: str) -> np.ndarray | None:
+    """What the model leaves of an output (N,) with variance one, its gaps at zero; None where that is no white noise."""
+    residual = trace.residual(name)[:COMPARED_ROWS]
+    known = np.isfinite(residual)
+    values, levels = residual[known] - residual[known].mean(), np.unique(trace.measured[name][:COMPARED_ROWS][known])
+    power = float(np.mean(values**2))
+    if not (len(levels) > 1 and power > (LEAST_STEPS * np.diff(levels).min()) ** 2):
+        return None
+    if abs(np.mean(values[1:] * values[:-1])) > WHITE * power:
+        return None
+    whole, deviation = np.zeros(len(residual)), 1.4826 * np.median(np.abs(values))
+    whole[known] = np.clip(values, -CUT_DEVIATIONS * deviation, CUT_DEVIATIONS * deviation)
+    return whole / np.sqrt(np.mean(whole**2))

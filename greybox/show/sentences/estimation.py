@@ -516,6 +516,15 @@ register(
             "the balance {subject} stores nothing, and its terms miss zero by {share:.2g} of the largest: give {state} a start value of"
             " the right size, and bounds"
         ),
+        EstimationCode.NOISE_SHARED: lambda f: (
+            f"{f.subject} and {f.values['other']} seem to be one measurement: what the model leaves of them agrees like one noise"
+            f" (correlation {f.values['shared']:.2f}); "
+            + (
+                "then it cannot validate the model; use another record"
+                if f.values["judges"]
+                else "then its data count twice, and intervals are too narrow; leave one out"
+            )
+        ),
         EstimationCode.START_IN_FIRST_ROW: lambda f: (
             f"record {f.subject} begins at {f.values['time']:g} s, and the start of {', '.join(f.values['states'])} is taken to hold there;"
             " where it holds at 0 s, begin the record with a row at 0 s without a reading"
