@@ -668,7 +668,12 @@ def list_shared_noise(fitted: Sequence[Trace], judging: Sequence[Trace] = ()) ->
     """Pairs of records, one of them ``judging`` if there are any, that hold one measurement twice by what the model leaves of them."""
     pairs = [(b, a) for a in fitted for b in judging] or [(b, a) for k, b in enumerate(fitted) for a in fitted[:k]]
     return [
-        Finding(EstimationCode.NOISE_SHARED, Severity.WARNING, b.name, {"other": a.name, "shared": r, "judges": bool(judging)})
+        Finding(
+            EstimationCode.NOISE_SHARED,
+            Severity.WARNING,
+            b.name,
+            {"other": a.name, "shared": r, "judges": bool(judging)},
+        )
         for b, a in pairs
         if (r := find_shared_noise(a, b))
     ]

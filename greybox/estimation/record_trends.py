@@ -196,7 +196,7 @@ def trend_values(trend: RecordTrend, unit: str, records: int) -> dict[str, Any]:
 
 # One measurement in two records: what the model leaves of them is one noise, though readings were averaged, scaled or given fresh noise.
 
-# Correlation of two residuals from which they are one; what an incomplete model leaves of repeated experiments has a colour: it is not asked.
+# Correlation of two residuals from which they are one; what an incomplete model leaves of repeated experiments has a colour.
 SHARED_NOISE = 0.4
 # ... in its standard deviation over records that share nothing, the best of all alignments among thousands of rows.
 SHARED_DEVIATIONS = 6.0
