@@ -814,7 +814,8 @@ def _keeps_the_run(optimum: Optimum, places: np.ndarray, poly: Polynomial) -> bo
         # p1^a p2^b stays.
         follows = other * math.exp(-FORMULA_STEP * first / second) if second else other
     else:
-        follows = other - float(poly[0, 1]) * (moved - one)
+        # f1 p1 + f2 p2 stays.
+        follows = other - float(poly[1, 0] / poly[0, 1]) * (moved - one)
     if np.sign(follows) != np.sign(other):
         return True
     values = {v.names[places[0]]: moved, v.names[places[1]]: follows}

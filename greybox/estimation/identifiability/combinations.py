@@ -241,6 +241,10 @@ def find_transfer_function_combinations(model: Model) -> list[ParameterCombinati
 FORMULA_CONSTANTS = 6
 
 
+# Largest coefficient of a sum that people would write: a + 2 b.
+LARGEST_COEFFICIENT = 3
+
+
 def find_determined_formulas(
     names: Sequence[str], units: Sequence[str], p: np.ndarray, null: np.ndarray
 ) -> Iterator[transfer_functions.Polynomial]:
@@ -258,7 +262,11 @@ def find_determined_formulas(
     changes = null * p[:, None]
     for signs in _find_powers([changes / np.linalg.norm(changes, axis=0)], size):
         places = np.flatnonzero(signs)
-        if np.abs(signs).max() == 1 < len(places) and all(dimensions[k] == dimensions[places[0]] for k in places):
+        if (
+            np.abs(signs).max() <= LARGEST_COEFFICIENT
+            and len(places) > 1
+            and all(dimensions[k] == dimensions[places[0]] for k in places)
+        ):
             yield {tuple((np.arange(size) == k).astype(int).tolist()): Fraction(int(signs[k])) for k in places}
 
 

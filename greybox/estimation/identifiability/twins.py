@@ -101,7 +101,8 @@ def find_twins(problem: EstimationProblem, runs: Runs | None = None) -> tuple[Tw
         if (is_open := _find_open(apart) if is_open is None else is_open)[moved].any():
             continue
         half = base.copy()
-        half[moved[:1]] = root[moved[:1]]
+        # A constant that moves alone is there already: half way it is not.
+        half[moved[:1]] = root[moved[:1]] if len(moved) > 1 else (base[moved] + root[moved]) / 2
         settled = settle(apart, root, everything)
         # What is left of the difference, over what one of the constants alone makes of it.
         if not settled.cost <= TWIN_RUN * settle(apart, half, everything).cost:
