@@ -143,6 +143,8 @@ def clean_cost_limit(count: int) -> float:
 
 # Iterations of a refit: what has not converged by then is not the answer, or is finished in the last fit.
 SEARCH_REFIT_ITERATIONS = 60
+# Share of its cost that one step more promises from which a refit that ended at that limit has not arrived.
+STILL_FALLING = 0.1
 # Substeps of a sample that a refit of the search takes at most, unless the plain model needs more: a candidate that does is stiff by its
 # constants alone, and minutes would not make it the answer. The last fit knows no such limit.
 MAX_SUBSTEPS = 16
@@ -362,11 +364,19 @@ class DiscoveryProblem:
         return self.refit_best(model, starts, *plan, like=candidate, **options)
 
     def converge(self, candidate: FittedCandidate, iterations: int = SEARCH_REFIT_ITERATIONS) -> FittedCandidate:
-        """A short refit carried on to convergence, with an integration step that is fine enough; itself where nothing is gained."""
+        """A short refit carried on to convergence, with an integration step that is fine enough; itself where nothing is gained.
+
+        One that still falls at its limit comes along a valley from where the constants had gone without its effects: it begins once more
+        at those that the user gave.
+        """
         if candidate.key in self.settled:
             return candidate
-        again = self.refit_best(candidate.model, [candidate.model.values], 1, iterations, like=candidate)
-        better = again if again is not None and again.cost < candidate.cost else candidate
+        model, better = candidate.model, candidate
+        for start in (model.values, {**model.values, **share_values(self.model, model)}):
+            again = self.refit_best(model, [start], 1, iterations, like=candidate)
+            better = again if again is not None and again.cost < better.cost else better
+            if better.promised_decrease <= STILL_FALLING * better.cost:
+                break
         # A refit that the time limit left out says nothing of where it would have ended: there may be a reserve.
         if not self.executor.is_late:
             self.settled.add(better.key)

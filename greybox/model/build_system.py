@@ -73,8 +73,8 @@ def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
         _check_place(effect, site, plant.relations)
         units = plant.units | _unit_words(site.units)
         words = {word: unit for word, unit in units.items() if site.states.get(word) != ""}
-        own: tuple[Item, ...] = (*effect.parameters, *effect.states)
-        names = {item.name: f"{effect.name}.{item.name}" if item.name in taken else item.name for item in own}
+        own_items: tuple[Item, ...] = (*effect.parameters, *effect.states)
+        names = {item.name: f"{effect.name}.{item.name}" if item.name in taken else item.name for item in own_items}
         parameters = tuple(
             ParameterSymbol(names[q.name], _fill_unit(q.unit, words, effect, statement.name), q.role)
             for q in effect.parameters
