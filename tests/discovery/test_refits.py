@@ -72,6 +72,16 @@ def test_a_candidate_that_a_refit_leaves_where_it_is_is_not_refitted_again():
     assert problem.executor.finished == before + 1
 
 
+def test_a_refit_that_still_falls_at_its_limit_begins_again_where_the_user_did():
+    problem = DiscoveryProblem(
+        tone_model().start(k=1.95, a=0.48, w=7.0), (tone_record(),), {"y": 0.01}, (), gb.FitOptions(at_rest=True)
+    )
+    astray = problem.refit_best(problem.model, [{"k": 9.0, "a": 0.0, "w": 6.9}], 1, 1)
+    assert astray.promised_decrease > refits.STILL_FALLING * astray.cost
+    converged = problem.converge(astray, iterations=1)
+    assert abs(converged.model.values["w"] - 7.0) < 0.01 and converged.per_sample < 1.3
+
+
 def test_what_is_known_under_one_noise_is_not_known_under_another():
     problem = tone_problem()
     problem.settled.add(problem.baseline.key)
