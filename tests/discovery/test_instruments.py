@@ -39,7 +39,7 @@ def test_the_lie_of_an_instrument_is_named(made, name, value, rows):
         assert unit.values["units"] == "kilogram-force and newton" and str(unit) in " ".join(str(found).split())
 
 
-@pytest.mark.parametrize("side", [1, -1], ids=["upper", "lower"])
+@pytest.mark.parametrize("side", [1, pytest.param(-1, marks=pytest.mark.slow)], ids=["upper", "lower"])
 def test_either_end_of_the_range_of_a_sensor_is_named(side):
     """A converter shows its last value for all that is beyond, with the noise in front of it."""
     generator = np.random.default_rng(15)

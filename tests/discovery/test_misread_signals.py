@@ -122,7 +122,7 @@ def search(name, reversed_signals=(), late=0):
 @pytest.mark.parametrize(
     ("name", "signal", "effect"),
     [
-        ("motor", "w", "reversed_reading_at_w"),
+        pytest.param("motor", "w", "reversed_reading_at_w", marks=pytest.mark.slow),
         ("stage", "x", "reversed_reading"),
         ("stage", "F", "reversed_input"),
         ("heater", "P", "reversed_input"),
@@ -167,7 +167,7 @@ def test_where_input_and_reading_may_be_reversed_alike_neither_is_certain():
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", ["stage", "heater", pytest.param("motor", marks=pytest.mark.slow)])
 def test_right_signs_are_left_alone(name):
     assert search(name).verdict == "complete"
 

@@ -48,7 +48,7 @@ def case(rig, effects, noise, others, rows=250, slow=False):
 CASES = [
     case(micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, WELL, None, rows=350, slow=True),
     case(micro_actuator, {"input_offset": {"u0": 0.05}}, WELL, None),
-    case(pneumatic_cylinder, {"valve_lag": {"tau_v": 0.08}}, AIR, None),
+    case(pneumatic_cylinder, {"valve_lag": {"tau_v": 0.08}}, AIR, None, slow=True),
     case(
         micro_actuator,
         {"stribeck_friction": {"Fc": 0.04, "Fs": 0.08, "vs": 0.01}},
@@ -77,7 +77,9 @@ CASES = [
         WELL,
         ("transport_delay",),
     ),
-    case(micro_actuator, {"force_constant_droop": {"a": 2e5}}, WELL, ("cubic_stiffness", "input_saturation")),
+    case(
+        micro_actuator, {"force_constant_droop": {"a": 2e5}}, WELL, ("cubic_stiffness", "input_saturation"), slow=True
+    ),
     case(
         micro_actuator,
         {"winding_heating": {"Rth": 1.0, "tau_th": 0.1}},
@@ -117,6 +119,7 @@ CASES = [
         WELL,
         ("stribeck_friction",),
         rows=600,
+        slow=True,
     ),
     # Refits from afar are lost without damped steps, a weak effect beside a strong one unless it is looked for nearly absent.
     case(
@@ -156,6 +159,7 @@ CASES = [
         {"quadratic_damping": {"B2": 5.0}, "constant_load": {"F0": 0.01}},
         WELL,
         ("input_offset",),
+        slow=True,
     ),
     case(micro_actuator, {}, WELL, ("cubic_stiffness", "coulomb_friction")),
 ]

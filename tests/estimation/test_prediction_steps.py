@@ -58,7 +58,7 @@ def solve_held(model):
     return np.array(x)[:, -1]
 
 
-@pytest.mark.parametrize("model", [VALVE, QUENCH, PAIR], ids=lambda m: m.name)
+@pytest.mark.parametrize("model", [VALVE, pytest.param(QUENCH, marks=pytest.mark.slow), PAIR], ids=lambda m: m.name)
 def test_a_prediction_of_a_stiff_model_is_its_free_run(model):
     exact = solve_held(model)
     noisy = exact + np.random.default_rng(1).normal(0, 0.01, len(T))
@@ -71,7 +71,9 @@ def test_a_prediction_of_a_stiff_model_is_its_free_run(model):
     assert np.allclose(gb.predict(fit, record)["y"], free, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("model", "state"), [(VALVE, "s"), (QUENCH, "y"), (PAIR, "y")])
+@pytest.mark.parametrize(
+    ("model", "state"), [pytest.param(VALVE, "s", marks=pytest.mark.slow), (QUENCH, "y"), (PAIR, "y")]
+)
 def test_a_filter_takes_steps_that_can_be_written_out(model, state):
     exact = solve_held(model)
     record = gb.Experiment("run", T, {"u": DRIVE}, {"y": exact}, "zero")

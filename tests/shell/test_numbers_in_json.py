@@ -142,7 +142,7 @@ COMMANDS = {
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [pytest.param(c, marks=[pytest.mark.slow] * ("nothing" in c)) for c in COMMANDS])
 def test_every_number_that_is_told_stands_in_the_json(
     command: str, records: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -209,7 +209,9 @@ def test_too_little_memory_is_told(capsys):
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1", "utf-8"])
+@pytest.mark.parametrize(
+    "encoding", ["ascii", *(pytest.param(e, marks=pytest.mark.slow) for e in ("cp1252", "latin-1")), "utf-8"]
+)
 def test_names_that_the_terminal_does_not_know_are_no_traceback(record, tmp_path, encoding):
     folder = tmp_path / "ünï名"
     words = [

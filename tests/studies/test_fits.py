@@ -41,7 +41,7 @@ def test_dry_friction_explains_the_drive(shared_data):
     emps_dry_friction.verdict(*emps_dry_friction.study(shared_data / "emps"))
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_the_silverbox_hardens(shared_data):
     silverbox_hardening.verdict(*silverbox_hardening.study(shared_data / "silverbox"))
 

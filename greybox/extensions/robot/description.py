@@ -178,6 +178,12 @@ def build_robot(name: str, bodies: Sequence[Body], gravity: Sequence[float] | np
     if not 0 < moving <= MOST_JOINTS:
         reason = f"{MOST_JOINTS} are read at most" if moving else "all its links are fixed to the base"
         raise ModelError(f"robot {name!r} has {moving or 'no'} moving joints: {reason}")
+    for kind, names in (
+        ("link", [b.name for b in bodies]),
+        ("joint", [b.joint.name for b in bodies if b.joint is not None]),
+    ):
+        if twice := {name for name in names if names.count(name) > 1}:
+            raise ModelError(f"robot {name!r} has more than one {kind} {min(twice)!r}")
     joints: list[Joint] = []
     # Name of a body -> number of the joint that moves it, and its pose in that joint's frame.
     carried: dict[str, tuple[int, np.ndarray]] = {"": (-1, np.eye(4))}

@@ -126,9 +126,16 @@ def _at_centre(mass: float, inertia: np.ndarray, owner: str) -> np.ndarray:
 
 
 def _read_urdf(root: Element, file: Path) -> Robot:
+    for element in root.iter():
+        if "xacro}" in element.tag:
+            raise ModelError(f"it still has <xacro:{element.tag.rpartition('}')[2]}>: xacro turns it into a URDF")
+    if root.find("loop_joint") is not None:
+        raise ModelError("it has a <loop_joint>: a closed chain is not carried, only a tree")
     links = {_name(link): link for link in root.findall("link")}
     if not links:
         raise ModelError("it has no <link>: a xacro file becomes a URDF by xacro")
+    if len(links) < len(root.findall("link")):
+        raise ModelError("two of its links have the same name")
     children: dict[str, list[Element]] = {}
     moved: dict[str, str] = {}
     for joint in root.findall("joint"):
@@ -190,14 +197,14 @@ def _read_urdf_joint(element: Element, links: dict[str, Element]) -> Body:
     if mimic is not None:
         factors = _number(mimic, "multiplier", 1.0, name), _number(mimic, "offset", 0.0, name)
         tie = Follows(mimic.get("joint", ""), *factors)
-    is_turning_on = kind == "continuous"
+    lower, upper = _number(limit, "lower", -math.inf, name), _number(limit, "upper", math.inf, name)
+    # Zeros stand for "not known" in many files: no joint has a limit of zero.
+    is_limited = kind != "continuous" and lower < upper
     joint = Joint(
         *(name, child, MOVING[kind], -1, rotation, origin),
         _unit(_numbers(element.find("axis"), "xyz", (1, 0, 0), name), name),
         np.zeros(10),
-        -math.inf if is_turning_on else _number(limit, "lower", -math.inf, name),
-        math.inf if is_turning_on else _number(limit, "upper", math.inf, name),
-        # Zero stands for "not known" in many files: no joint has a limit of zero.
+        *((lower, upper) if is_limited else (-math.inf, math.inf)),
         _number(limit, "velocity", math.inf, name) or math.inf,
         _number(limit, "effort", math.inf, name) or math.inf,
         _number(dynamics, "damping", 0.0, name),
@@ -218,7 +225,9 @@ def _urdf_inertial(link: Element, name: str) -> np.ndarray:
     element = link.find("inertial")
     if element is None:
         return np.zeros(10)
-    mass = _number(element.find("mass"), "value", 0.0, name)
+    mass = _number(element.find("mass"), "value", math.nan, name)
+    if math.isnan(mass):
+        raise ModelError(f"link {name!r}: its <inertial> has no <mass value=...>")
     xx, xy, xz, yy, yz, zz = (
         _number(element.find("inertia"), f"i{k}", 0.0, name) for k in ("xx", "xy", "xz", "yy", "yz", "zz")
     )
@@ -229,23 +238,38 @@ def _urdf_inertial(link: Element, name: str) -> np.ndarray:
 # MJCF (mujoco.readthedocs.io/en/stable/XMLreference.html).
 
 # What would drive or close a chain: none of it is a tree of joints any more.
-CLOSING = ("connect", "weld", "flex", "flexvert", "flexstrain")
+CLOSING = ("connect", "weld", "tendon", "flex", "flexvert", "flexstrain")
+# What changes masses, bodies or torques and is not read: element -> attributes, where they state something else than these.
+NOT_READ: dict[str, tuple[str, ...]] = {
+    "compiler": ("inertiafromgeom", "settotalmass", "boundmass", "boundinertia", "balanceinertia", "coordinate"),
+    **{"option": ("density", "viscosity"), "flag": ("gravity",), "body": ("gravcomp",), "joint": ("stiffness",)},
+    **dict.fromkeys(("fixed", "spatial"), ("stiffness", "damping", "frictionloss")),
+}
+# What is stated where there is none of it.
+NOTHING = ("false", "auto", "local", "enable", "-1")
+# What stands for bodies that it does not spell out, wherever it holds some.
+MACROS = ("include", "attach", "frame", "replicate", "composite", "flexcomp")
+# What makes one file of them all.
+WRITTEN_OUT = "mj_saveLastXML of MuJoCo writes it out as one file"
 MJCF_MOVING = {"hinge": JointKind.REVOLUTE, "slide": JointKind.PRISMATIC}
 
 
 def _read_mjcf(root: Element, file: Path) -> Robot:
-    if root.find(".//include") is not None or root.find(".//attach") is not None:
-        raise ModelError(
-            "it includes other files, which are not opened; mj_saveLastXML of MuJoCo writes it as one file"
-        )
-    world = root.find("worldbody")
-    if world is None:
+    for element in root.iter():
+        if element.tag in MACROS and (element.tag not in ("frame", "replicate") or element.find(".//body") is not None):
+            raise ModelError(f"it has <{element.tag}>, and its bodies are not read; {WRITTEN_OUT}")
+        for name in NOT_READ.get(element.tag, ()):
+            if (value := element.get(name, "0")) not in NOTHING and value.strip("0. "):
+                remedy = WRITTEN_OUT if element.tag == "compiler" else "remove it where the robot is to be without it"
+                raise ModelError(f"<{element.tag}> has {name}={value!r}, which is not carried; {remedy}")
+    if root.find("worldbody") is None:
         raise ModelError("it has no <worldbody>")
     for element in (e for equality in root.findall("equality") for e in equality):
         if element.tag in CLOSING:
             raise ModelError(f"<equality> has a <{element.tag}>: a closed chain is not carried, only a tree")
-    bodies = list(_MjcfReader(root).read_bodies(world))
-    gravity = _numbers(root.find("option"), "gravity", GRAVITY)
+    bodies = list(_MjcfReader(root).read_bodies(root.findall("worldbody/body")))
+    # Of several sections the last that states it counts.
+    gravity = _numbers(([None, *root.findall("option[@gravity]")])[-1], "gravity", GRAVITY)
     return build_robot(root.get("model") or file.stem, bodies, gravity, file.name)
 
 
@@ -257,15 +281,20 @@ class _MjcfReader:
         self.angle = 1.0 if stated.get("angle", "degree") == "radian" else math.pi / 180
         self.euler = stated.get("eulerseq", "xyz")
         # Attributes of joints by class: a class has those of the one around it, and its own.
-        self.defaults: dict[str, dict[str, str]] = {"": {}}
+        self.defaults: dict[str, dict[str, str]] = {"": {}, "main": {}}
         waiting: list[tuple[Element, str, dict[str, str]]] = [(default, "", {}) for default in root.findall("default")]
         while waiting:
             element, name, above = waiting.pop()
             joint = element.find("joint")
-            self.defaults[name] = {**above, **({} if joint is None else joint.attrib)}
+            self.defaults[name] = {**self.defaults.get(name, {}), **above, **({} if joint is None else joint.attrib)}
+            if not name:
+                # The outermost class is called main where it has no name of its own.
+                self.defaults[element.get("class", "main")] = self.defaults[""]
             waiting += [(e, e.get("class", ""), self.defaults[name]) for e in element.findall("default")]
         self.ties: dict[str, Follows] = {}
-        for joint in (e for equality in root.findall("equality") for e in equality.findall("joint")):
+        for joint in root.findall("equality/joint"):
+            if joint.get("active") == "false":
+                continue
             offset, factor, *higher = (joint.get("polycoef") or "0 1").split()
             if any(float(c) for c in higher) or "joint2" not in joint.attrib:
                 raise ModelError(
@@ -273,9 +302,9 @@ class _MjcfReader:
                 )
             self.ties[joint.get("joint1", "")] = Follows(joint.attrib["joint2"], float(factor), float(offset))
 
-    def read_bodies(self, world: Element) -> Iterator[Body]:
+    def read_bodies(self, world: Sequence[Element]) -> Iterator[Body]:
         """Every body with its joints, a parent before its children: each joint has a frame of its own, the last carries the body."""
-        waiting = [(element, "", "", False) for element in reversed(world.findall("body"))]
+        waiting = [(element, "", "", False) for element in reversed(world)]
         count = 0
         while waiting:
             element, parent, class_name, is_moved = waiting.pop()
@@ -329,7 +358,7 @@ class _MjcfReader:
             if element.find("geom") is not None:
                 raise ModelError(
                     f"body {name!r} has geoms and no <inertial>: its mass would come from their shapes, which are not read;"
-                    " mj_saveLastXML of MuJoCo writes it out"
+                    f" {WRITTEN_OUT}"
                 )
             return np.zeros(10)
         if stated.get("fullinertia") is not None:

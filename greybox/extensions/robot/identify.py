@@ -78,8 +78,8 @@ SCALED_DEVIATIONS = 3.0
 USUAL = (VISCOUS, COULOMB, OFFSET)
 # A constant is open where half its interval is wider than this share of the largest one of its kind on the link.
 OPEN_SHARE = 0.5
-# Share of the rms of a torque that is left, from which it cannot be that of its joint.
-STRANGE_SHARE = 0.25
+# Share of the rms of a torque that is left, from which it may not be that of its joint; and from which it is not.
+STRANGE_SHARE, LOST_SHARE = 0.25, 0.5
 # Rows on which the noise of the sensors is added again.
 SHAKEN_ROWS = 5000
 # Linearisations after which the width of a Stribeck effect and the gains of readings stand still.
@@ -181,14 +181,21 @@ def identify_robot(
     answer = _Answer(base, table, sums, chosen, sums.take(chosen).fit(), bias, point, free)
     verdict, payload, further, inertias, level = answer.compare_with_description()
     answer = replace(answer, level=level)
-    constants, effects = tuple(answer.list_constants()), [*answer.list_effects(), *inertias]
+    constants, joints = tuple(answer.list_constants()), answer.measure_joints()
+    strange, lost = ([j.joint for j in joints if j.final > share * j.torque] for share in (STRANGE_SHARE, LOST_SHARE))
+    # Of a torque that is lost nothing is certain, and it takes part in what is said of the rigid bodies; gains compare all joints.
+    effects = [
+        replace(e, grade=Grade.PROBABLE) if e.joint in lost or (strange and e.kind == GAIN.name) else e
+        for e in (*answer.list_effects(), *inertias)
+    ]
+    if lost:
+        verdict, payload = RigidVerdict.OTHER, None
     for e in effects:
         if e.rival:
             further.append(Finding(RobotCode.RIVAL, subject=e.joint, values={"kind": e.kind, "rival": e.rival}))
         if e.kind == GAIN.name:
             further.append(Finding(RobotCode.GAIN, subject=e.joint, values={"gain": 1 + e.value}))
-    joints = answer.measure_joints()
-    if strange := [j.joint for j in joints if j.final > STRANGE_SHARE * j.torque]:
+    if strange:
         further.append(Finding(RobotCode.NOT_FOLLOWED, Severity.WARNING, values={"joints": strange}))
     if motion := _say_motion(constants):
         values = {"names": [e.name for e in constants if e.is_open], "motion": motion}
@@ -591,9 +598,10 @@ class _Answer:
         is_possible = {
             RigidVerdict.AS_DESCRIBED: has_level or abs(factor - 1) <= SCALED_DEVIATIONS * spread,
             RigidVerdict.SCALED: not has_level,
-            # Beside a free level a payload has to show; a tool that was taken off weighs less than nothing.
+            # A tool that was taken off weighs less than nothing, and no more than its link; beside a free level none can be told.
             RigidVerdict.PAYLOAD: not loaded.is_open[0]
-            and (mass > SCALED_DEVIATIONS * std if has_level else mass != 0),
+            and abs(mass) > SCALED_DEVIATIONS * std
+            and mass > (0 if has_level else -base.robot.joints[-1].inertial[0]),
         }
         errors = {
             verdict: total

@@ -41,6 +41,8 @@ UNITS = {
     "amps": "A",
     "mm": "mm",
 }
+# Columns of a log that counts axes from zero: each of its numbers would be that of another axis here.
+COUNTED_FROM_ZERO = {f"{signal}0" for signal in QUANTITIES}
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 
 
@@ -83,6 +85,14 @@ def read_joint_logs(
         for path in paths:
             headers = open_record_file(path, policy=reading.get("reading", READING_POLICY)).table.headers
             mapped = {split_signal(key)[0] for key in given}
+            zero = [
+                header for header in headers if parse_header(header, 0).name in COUNTED_FROM_ZERO - set(given.values())
+            ]
+            if zero:
+                raise DataError(
+                    f"{Path(path).name}: there is a column {zero[0]!r}, and the axes of a robot are counted from 1; name each:"
+                    " --column q1=q0 --column tau1=tau0 --column q2=q1 ..."
+                )
             columns_found |= _find_columns(headers, plant.robot, mapped, Path(path).name)
             called = {parse_header(header, 0).name for header in (*headers, *columns_found)}
             if not {output.name for output in plant.log_model.outputs} & {*mapped, *called}:

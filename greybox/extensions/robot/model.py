@@ -233,7 +233,10 @@ class RobotPlant:
     def log_model(self) -> Model:
         """What a log of it may hold, for reading: positions, velocities, torques and currents; none of them must be there."""
         signals = [
-            Output(f"{name}{k}", joint.units[name])
+            # An encoder counts turns from new, or between -pi and pi.
+            Output(
+                f"{name}{k}", joint.units[name], wraps=math.tau if (name, joint.units[name]) == ("q", "rad") else 0.0
+            )
             for k, joint in enumerate(self.robot.axes, 1)
             for name in ("q", "dq", "tau", "i")
         ]

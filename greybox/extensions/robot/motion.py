@@ -36,6 +36,8 @@ SWINGING_PERIODS = 2.0
 RESTING_DEVIATIONS, RESTING_SHARE = 4.0, 0.02
 # ... or than this, in rad/s or m/s: nothing on Earth moves so slowly on purpose.
 RESTING_SPEED = 1e-6
+# A velocity that is so many times the slope of its position, or as many times smaller, is in another unit, or of another joint.
+SAME_SPEED = 2.0
 # Fewer rows than this show no motion that could be differentiated.
 LEAST_ROWS = 64
 # Central differences of sixth order for values three rows before to three rows after (Fornberg, Mathematics of Computation 51, 1988).
@@ -105,7 +107,7 @@ def reconstruct_motion(
     Raises
     ------
     DataError
-        For a record that is too short, has gaps in time, or readings of position that are missing.
+        For a record that is too short, has gaps in time, readings of position that are missing, or velocities that contradict them.
     """
     columns = {**record.inputs, **record.outputs}
     time, step = _space_evenly(record)
@@ -133,11 +135,16 @@ def reconstruct_motion(
         dq[:, k] = _differentiate(q[:, k], step)
         if np.isfinite(velocity).all():
             cutoff, level = _find_cutoff(velocity, rate)
+            velocity = velocity + shake * level * generator.normal(size=n)
+            lag, factor = _compare_velocity(q[:, k], velocity, min(cutoffs[k], cutoff) / 2, rate)
+            if np.std(dq[:, k]) > RESTING_DEVIATIONS * quiet[k] and not 1 / SAME_SPEED < factor < SAME_SPEED:
+                raise DataError(
+                    f"record {record.name!r}: dq{number} is {factor:.3g} times the slope of q{number}; state the unit of what is off, q, dq"
+                    f" or time (--column 'dq{number} [deg/s]=HEADER'), or name its column"
+                )
             remaining = level * np.sqrt(2 * cutoff / rate)
             if remaining < quiet[k]:
-                quiet[k] = remaining
-                velocity = velocity + shake * level * generator.normal(size=n)
-                lags[k] = _find_lag(q[:, k], velocity, min(cutoffs[k], cutoff) / 2, rate)
+                quiet[k], lags[k] = remaining, lag
                 # What a filter of the sensor delays is brought forward.
                 dq[:, k] = np.interp(time + lags[k], time, _smooth(velocity, cutoff, rate))
                 cutoffs[k] = cutoff
@@ -151,13 +158,15 @@ def reconstruct_motion(
     return Motion(time[rows], q[rows], dq[rows], ddq[rows], tau[rows], is_moving[rows], lags)
 
 
-def _find_lag(position: np.ndarray, velocity: np.ndarray, cutoff: float, rate: float) -> float:
-    """Seconds by which a velocity (N,) follows the position late, ``v = dq - lag ddq``, below a frequency."""
+def _compare_velocity(position: np.ndarray, velocity: np.ndarray, cutoff: float, rate: float) -> tuple[float, float]:
+    """Below a frequency: seconds by which a velocity (N,) follows the position late, ``v = dq - lag ddq``, and its size over that of dq."""
     dq, v = (_smooth(x, cutoff, rate) for x in (_differentiate(position, 1 / rate), velocity))
     inner = slice(len(dq) // 16, -(len(dq) // 16))
-    # The slope of the velocity is the instrument: its noise is not that of the position, which would make the lag small.
-    slope, late, ddq = (x[inner] for x in (_differentiate(v, 1 / rate), v - dq, _differentiate(dq, 1 / rate)))
-    return float(-(late @ slope) / (ddq @ slope)) if ddq @ slope else 0.0
+    # The velocity, and its slope, are the instruments: their noise is not that of the position, which would make both small.
+    slope, ddq = (_differentiate(x, 1 / rate)[inner] for x in (v, dq))
+    dq, v = dq[inner], v[inner]
+    lag = float(-((v - dq) @ slope) / (ddq @ slope)) if ddq @ slope else 0.0
+    return lag, float(v @ v / (dq @ v)) if dq @ v else 0.0
 
 
 def _space_evenly(record: Experiment) -> tuple[np.ndarray, float]:

@@ -382,7 +382,7 @@ class Abrupt:
 
 @pytest.mark.rest
 @pytest.mark.skipif(sys.platform == "win32", reason="aborts differ")
-@pytest.mark.parametrize("bad", [0, 2, 3])
+@pytest.mark.parametrize("bad", [2, *(pytest.param(k, marks=pytest.mark.slow) for k in (0, 3))])
 def test_a_record_that_ends_its_process_is_named_at_the_first_attempt(bad: int) -> None:
     time = np.linspace(0.0, 3.0, 31)
     rng = np.random.default_rng(bad)

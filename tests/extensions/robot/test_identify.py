@@ -89,6 +89,23 @@ def test_torques_that_read_too_large_are_told_from_other_links(arm: gb.robots.Ro
     assert scaled.values["factor"] == pytest.approx(1.15, abs=0.005)
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [{"tau1": "tau2", "tau2": "tau1"}, {"q1": "-q1"}, {"q2": "q2+90"}],
+    ids=["torques in another order", "a position of the other sign", "another zero"],
+)
+def test_columns_that_are_not_what_they_are_called_give_no_certainty(
+    arm: gb.robots.Robot, wrong: dict[str, str]
+) -> None:
+    """No body is the difference: -45 kg in the place of a link of 2 kg, or a mass of nothing whose centre is 964 m away."""
+    log = joint_log()
+    values = {**log.outputs, "-q1": -log.outputs["q1"], "q2+90": log.outputs["q2"] + np.pi / 2}
+    columns = {name: values[wrong.get(name, name)] for name in log.outputs}
+    found = identify_robot(arm, gb.Experiment("log", log.time, {}, columns))
+    assert found.verdict == "other than described" and found.payload is None
+    assert all(e.grade is Grade.PROBABLE for e in found.effects)
+
+
 def test_a_delay_of_the_torque_is_told_from_friction(arm: gb.robots.Robot) -> None:
     log = joint_log()
     late = {n: np.interp(log.time - 0.006, log.time, v) if n.startswith("tau") else v for n, v in log.outputs.items()}

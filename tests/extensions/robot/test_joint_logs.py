@@ -102,3 +102,38 @@ def test_what_is_ambiguous_or_missing_is_refused(plant: gb.robots.RobotPlant, tm
     (read,) = read_joint_logs(plant, [write_columns(tmp_path / "deg.csv", degrees)])
     with pytest.raises(DataError, match=r"shoulder of the robot from -3 to 3 rad; .* --column 'q1 \[deg\]=HEADER'"):
         identify_robot(read_robot(write(tmp_path / "arm.urdf", limited())), read)
+
+
+def test_an_encoder_that_wraps_is_read_on(plant: gb.robots.RobotPlant, tmp_path: Path) -> None:
+    log = joint_log(rows=800)
+    columns = {"time": log.time, **log.outputs}
+    turned = columns["q2"] + 3.0 - columns["q2"].mean()
+    assert turned.max() > np.pi
+    columns["q2"] = (turned + np.pi) % (2 * np.pi) - np.pi
+    (read,) = read_joint_logs(plant, [write_columns(tmp_path / "log.csv", columns)])
+    np.testing.assert_allclose(np.diff(read.outputs["q2"]), np.diff(turned), atol=1e-12)
+
+
+def test_axes_that_are_counted_from_zero_are_not_taken_for_others(plant: gb.robots.RobotPlant, tmp_path: Path) -> None:
+    log = joint_log(rows=800)
+    columns = {f"{s}{k - 1}": log.outputs[f"{s}{k}"] for s in ("q", "tau") for k in (1, 2)}
+    path = write_columns(tmp_path / "log.csv", {"time": log.time, **columns})
+    with pytest.raises(
+        DataError, match=r"log\.csv: there is a column 'q0', and the axes of a robot are counted from 1"
+    ):
+        read_joint_logs(plant, [path])
+    named = {"q1": "q0", "tau1": "tau0", "q2": "q1", "tau2": "tau1"}
+    (read,) = read_joint_logs(plant, [path], columns=named)
+    np.testing.assert_allclose(read.outputs["tau2"], log.outputs["tau2"], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("factor", "said"), [(180 / np.pi, "57.3 times"), (-1.0, "-1 times"), (0.0, "0 times")])
+def test_a_velocity_that_contradicts_its_position_is_refused(
+    plant: gb.robots.RobotPlant, factor: float, said: str
+) -> None:
+    log = joint_log(rows=800)
+    slope = {f"dq{k}": np.gradient(log.outputs[f"q{k}"], log.time) for k in (1, 2)}
+    slope["dq2"] = factor * slope["dq2"]
+    both = gb.Experiment("log", log.time, {}, {**log.outputs, **slope})
+    with pytest.raises(DataError, match=f"dq2 is {said} the slope of q2; state the unit"):
+        identify_robot(plant.robot, both)
