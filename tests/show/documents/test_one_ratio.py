@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,25 +27,44 @@ from tests.support.first_order import first_order
 NOISE = 0.02
 
 
-def record(name: str, seed: int, *, wild: int = 0, sag: float = 0.0, noise: float = NOISE) -> gb.Experiment:
-    """A lag driven by steps, with white noise, ``wild`` readings, and a ``sag`` that no linear model has."""
+def record(
+    name: str,
+    seed: int,
+    *,
+    wild: int = 0,
+    sag: float = 0.0,
+    noise: float = NOISE,
+    gap: int = 0,
+    rows: int = 400,
+    start: float = 0.0,
+    drift: float = 0.0,
+) -> gb.Experiment:
+    """A lag driven by steps, with white noise, ``wild`` readings, a ``gap`` in them, and a ``sag`` that no linear model has."""
     rng = np.random.default_rng(seed)
-    time = 0.05 * np.arange(400)
-    drive = np.repeat(rng.normal(size=40), 10)
-    level = np.zeros(400)
-    for k in range(399):
+    time = 0.05 * np.arange(rows)
+    drive = np.repeat(rng.normal(size=rows // 10), 10)
+    level = np.full(rows, start)
+    for k in range(rows - 1):
         part = level[k]
         for _ in range(20):  # y' = (gain u - y) / lag - sag y^3
             part += 0.05 / 20 * ((2.0 * drive[k] - part) / 0.5 - sag * part**3)
         level[k + 1] = part
-    y = level + noise * rng.normal(size=400)
-    y[rng.choice(400, wild, replace=False)] += 5.0
+    y = level + drift * time + noise * rng.normal(size=rows)
+    y[rng.choice(rows, wild, replace=False)] += 5.0
+    y[rows // 4 : rows // 4 + gap] = np.nan
     return gb.Experiment(name, time, {"u": drive}, {"y": y})
 
 
 OPTIONS = gb.FitOptions(at_rest=True)
 HUBER = gb.FitOptions(at_rest=True, loss="huber")
 STUDENT = gb.FitOptions(at_rest=True, loss="student")
+TOLD = {"noise": {"y": NOISE}}
+
+
+def having(**options: Any) -> dict[str, Any]:
+    return {**TOLD, "options": gb.FitOptions(**{"at_rest": True, **options})}
+
+
 # What is fitted, and what the noise is known from.
 KINDS = {
     "told": ({}, {"noise": {"y": NOISE}}),
@@ -59,17 +79,47 @@ KINDS = {
     "squares over wild readings": ({"wild": 20}, {"noise": {"y": NOISE}}),
     "grows with the signal": ({}, {"noise": {"y": GrowingNoise(floor=NOISE, share=0.01)}}),
     "growth estimated": ({}, {"noise": {"y": GrowingNoise()}}),
+    "grows, not explained": ({"sag": 1.0}, {"noise": {"y": GrowingNoise(floor=NOISE, share=0.01)}}),
+    "student, estimated": ({"wild": 20}, {"options": STUDENT}),
+    "huber with a limit of its own": ({"wild": 20}, having(loss="huber:2.5")),
+    "hardly any noise": ({"noise": 1e-6}, {"noise": {"y": 1e-6}}),
+    "large units": ({"noise": 50.0}, {"noise": {"y": 50.0}}),
+    "gaps": ({"gap": 60}, TOLD),
+    "gaps, estimated": ({"gap": 60}, {}),
+    "few rows": ({"rows": 30}, TOLD),
+    "drifts": ({"drift": 0.02}, TOLD),
+    "drifts, estimated": ({"drift": 0.02}, {}),
+    "first state free": ({"start": 2.0}, having(at_rest=False)),
+    "multiple shooting": ({}, having(transcription="multiple")),
+    "multiple shooting, not explained": ({"sag": 1.0}, having(transcription="multiple")),
+    "collocation": ({"rows": 100}, having(transcription="collocation-radau")),
+    "arcs": ({}, having(transcription="arcs", at_rest=False, arc_length=5.0)),
+    "steps of its own": ({}, having(method="rk4", substeps=3)),
+    "rows not counted": ({}, {**TOLD, "skip": 40}),
+    "first rows for the state": ({"start": 2.0}, {**having(at_rest=False), "beginning": 20}),
+    "a prior": ({}, {**TOLD, "model": lambda model: model.prior(lag=(0.5, 0.01))}),
+    "a constant known wrongly": ({}, {**TOLD, "model": lambda model: model.fix(lag=0.6)}),
 }
 
 
-@pytest.fixture(scope="module")
-def fits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[gb.Fit, Path]]:
-    folder, made = tmp_path_factory.mktemp("fits"), {}
-    for number, (name, (rig, given)) in enumerate(KINDS.items()):
+class Fits(dict[str, tuple[gb.Fit, Path]]):
+    """The fit of each kind and its file; made when a test asks for it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __missing__(self, kind: str) -> tuple[gb.Fit, Path]:
+        rig, given = KINDS[kind]
         options = {"options": OPTIONS, **given}
-        fit = gb.fit(first_order(), record("a", 1, **rig), validation=record("b", 2, **rig), **options)
-        made[name] = fit, fit.save(folder / f"{number}.json")
-    return made
+        model = options.pop("model", lambda model: model)(first_order())
+        fit = gb.fit(model, record("a", 1, **rig), validation=record("b", 2, **rig), **options)
+        self[kind] = fit, fit.save(self.folder / f"{list(KINDS).index(kind)}.json")
+        return self[kind]
+
+
+@pytest.fixture(scope="module")
+def fits(tmp_path_factory: pytest.TempPathFactory) -> Fits:
+    return Fits(tmp_path_factory.mktemp("fits"))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -34,12 +34,21 @@
     letter === "x"
       ? { exponentformat: "none", nticks: narrow() ? 3 : 6 }
       : { exponentformat: "power", nticks: Math.max(2, Math.floor((parseFloat(figure.plot.style.height) - 100) / 45)) };
+  // A title along an axis is broken at the blank nearest to its middle where it is longer than the axis.
+  const broken = (text, room) => {
+    if (!text || 7.5 * text.length <= room) return text;
+    const blanks = [...text.matchAll(/ /g)].map((found) => found.index);
+    if (!blanks.length) return text;
+    const middle = blanks.reduce((best, k) => (Math.abs(k - text.length / 2) < Math.abs(best - text.length / 2) ? k : best));
+    return `${text.slice(0, middle)}<br>${text.slice(middle + 1)}`;
+  };
   const styled = (figure, chosen = figure.shown) => {
     const axis = { gridcolor: colour("--line"), zerolinecolor: colour("--line"), linecolor: colour("--line"), automargin: true };
     const own = painted(figure.views[chosen].layout);
     const axes = Object.fromEntries(
       Object.keys({ xaxis: 0, yaxis: 0, ...own }).filter((key) => /^[xy]axis/.test(key)).map((key) => {
         const title = { standoff: 12, ...own[key]?.title };
+        if (key[0] === "y") title.text = broken(title.text, parseFloat(figure.plot.style.height) - 60);
         return [key, { ...axis, ...(own[key]?.type === "log" ? logarithmic(figure, key[0]) : {}), ...own[key], title, uirevision: key[0] === "x" && figure.group ? "kept" : String(chosen) }];
       }));
     return {
@@ -50,12 +59,12 @@
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { color: colour("--ink"), family: getComputedStyle(document.body).fontFamily, size: narrow() ? 11 : 13 },
       hoverlabel: { bgcolor: colour("--panel"), bordercolor: colour("--line"), font: { color: colour("--ink") } },
-      ...(paper ? { width: PAPER, height: figure.plot.clientHeight } : {}),
+      ...(paper ? { width: figure.element.parentElement.id === "content" && figure.views.length === 1 ? PAPER : HALF, height: figure.plot.clientHeight } : {}),
     };
   };
 
-  // Pixels that a sheet of paper is wide, while printing.
-  const PAPER = 690;
+  // Pixels that a sheet of paper is wide while printing, and those of a figure that shares it with another one.
+  const PAPER = 1070, HALF = 520;
   let paper = false;
   const curves = (figure, chosen = figure.shown) => {
     const shown = new Set(figure.views[chosen].traces);
@@ -204,18 +213,20 @@
         figure.plot.before(title);
         continue;
       }
-      const plot = document.createElement("div");
-      plot.className = "plot printed";
+      const view = document.createElement("div"), plot = document.createElement("div");
+      view.className = "view printed";
+      plot.className = "plot";
       plot.style.height = figure.plot.style.height;
-      figure.element.querySelector("figcaption").before(title, plot);
+      view.append(title, plot);
+      figure.element.querySelector("figcaption").before(view);
       Plotly.newPlot(plot, curves(figure, k), { ...styled(figure, k), height: parseFloat(plot.style.height) }, { staticPlot: true });
     }
   };
 
-  // On paper everything is light, open and as wide as the page.
+  // On paper everything is light; folds are open but for those that hold figures, which are printed where the reader has opened them.
   let before = [];
   window.addEventListener("beforeprint", () => {
-    before = [root.dataset.theme === "dark", [...document.querySelectorAll("details:not([open]):not(.words)")]];
+    before = [root.dataset.theme === "dark", [...document.querySelectorAll("details:not([open]):not(.words):not(:has(figure))")]];
     before[1].forEach((d) => (d.open = true));
     paper = true;
     dress(false);
