@@ -92,7 +92,14 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"mathml": mathml, "data": embedded, "kind": lambda block: type(block).__name__.lower()}
-    environment.filters |= {"notes": split_notes, "height": height_on_page, "say": say, "label": label, "cell": cell}
+    environment.filters |= {
+        "notes": split_notes,
+        "answer": say_answer,
+        "height": height_on_page,
+        "say": say,
+        "label": label,
+        "cell": cell,
+    }
     return environment
 
 
@@ -153,6 +160,12 @@ def split_notes(page: Document) -> tuple[list[str], list[str]]:
         if left < 0:
             return texts[:k], texts[k:]
     return texts, []
+
+
+def say_answer(page: Document) -> str:
+    """The first sentence; where it begins with the name of what the page is about, that stays as it is written."""
+    first, text = label(page.answer).partition(" ")[0], say(page.answer)
+    return first + text[len(first) :] if first in label(page.title).split() else text
 
 
 def say(texts: Text | Sequence[Text]) -> str:

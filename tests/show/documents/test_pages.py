@@ -31,7 +31,7 @@ from greybox.show import describe
 from greybox.show.describe import describe_page
 from greybox.show.documents.tables import misfit_table
 from greybox.show.figures.records import plot_residual
-from greybox.show.printers.html import LARGEST_PAGE, cell, label, render_page, say, write_page
+from greybox.show.printers.html import LARGEST_PAGE, cell, label, render_page, say, say_answer, write_page
 from models.micro_actuator import micro_actuator
 from tests.support.command import CliRunner
 from tests.support.findings import codes
@@ -148,6 +148,14 @@ def test_the_box_of_a_page_has_five_lines_and_a_fold_the_rest() -> None:
     box, _, rest = html[html.index('<section id="verdict"') :].partition("</section>")
     assert [f"emark {k} " in box for k in range(9)] == [True] * 2 + [False] * 7
     assert "<summary>7 more notes</summary>" in rest and all(rest.count(f"emark {k} ") == 1 for k in range(2, 9))
+
+
+def test_a_name_at_the_beginning_of_the_answer_stays_as_it_is_written() -> None:
+    named = Document("Fit of axis + play", "axis + play explains its records")
+    told = Document("Effects that axis lacks", "the plain model lacks play")
+    assert (
+        say_answer(named) == "axis + play explains its records." and say_answer(told) == "The plain model lacks play."
+    )
 
 
 def test_a_page_has_no_bar_of_buttons_over_a_figure_and_one_meaning_of_plus_minus(good: gb.Fit) -> None:
