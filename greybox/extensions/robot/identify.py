@@ -78,8 +78,9 @@ SCALED_DEVIATIONS = 3.0
 USUAL = (VISCOUS, COULOMB, OFFSET)
 # A constant is open where half its interval is wider than this share of the largest one of its kind on the link.
 OPEN_SHARE = 0.5
-# Share of the rms of a torque that is left, from which it may not be that of its joint; and from which it is not.
-STRANGE_SHARE, LOST_SHARE = 0.25, 0.5
+# Share of the rms of a torque that is left, from which it may not be that of its joint; and from which it is not, where what is left is
+# smooth: its differences have less than this share of the squares of those of noise.
+STRANGE_SHARE, LOST_SHARE, ROUGH = 0.25, 0.5, 0.1
 # Rows on which the noise of the sensors is added again.
 SHAKEN_ROWS = 5000
 # Linearisations after which the width of a Stribeck effect and the gains of readings stand still.
@@ -182,7 +183,12 @@ def identify_robot(
     verdict, payload, further, inertias, level = answer.compare_with_description()
     answer = replace(answer, level=level)
     constants, joints = tuple(answer.list_constants()), answer.measure_joints()
-    strange, lost = ([j.joint for j in joints if j.final > share * j.torque] for share in (STRANGE_SHARE, LOST_SHARE))
+    strange = [j.joint for j in joints if j.final > STRANGE_SHARE * j.torque]
+    left = torques[0] - torques[2]
+    # Of white noise the differences have twice its squares (von Neumann, Annals of Mathematical Statistics 12, 1941).
+    roughness = np.nansum(np.diff(left, axis=0) ** 2, axis=0) / np.maximum(2 * np.nansum(left**2, axis=0), 1e-300)
+    rough = {j.name: r for j, r in zip(base.robot.axes, roughness, strict=True)}
+    lost = [j.joint for j in joints if j.final > LOST_SHARE * j.torque and rough[j.joint] < ROUGH]
     # Of a torque that is lost nothing is certain, and it takes part in what is said of the rigid bodies; gains compare all joints.
     effects = [
         replace(e, grade=Grade.PROBABLE) if e.joint in lost or (strange and e.kind == GAIN.name) else e

@@ -106,6 +106,16 @@ def test_columns_that_are_not_what_they_are_called_give_no_certainty(
     assert all(e.grade is Grade.PROBABLE for e in found.effects)
 
 
+def test_a_torque_that_is_noise_makes_no_other_robot(arm: gb.robots.Robot) -> None:
+    log = joint_log()
+    noise = 3.0 * np.random.default_rng(8).normal(size=log.rows)
+    found = identify_robot(
+        arm, gb.Experiment("log", log.time, {}, {**log.outputs, "tau2": log.outputs["tau2"] + noise})
+    )
+    assert found.joints[1].final > 0.5 * found.joints[1].torque
+    assert found.verdict == "as described" and not found.effects
+
+
 def test_a_delay_of_the_torque_is_told_from_friction(arm: gb.robots.Robot) -> None:
     log = joint_log()
     late = {n: np.interp(log.time - 0.006, log.time, v) if n.startswith("tau") else v for n, v in log.outputs.items()}
