@@ -427,6 +427,22 @@ def test_the_fmu_refuses_a_step_that_it_cannot_take(fmu, length):
         instance.doStep(0.0, length)
 
 
+@pytest.mark.parametrize("now", [0.0, 5e-4, -1.0, float("nan")])
+def test_the_fmu_refuses_a_step_that_does_not_begin_where_it_stands(fmu, now):
+    with opened(fmu) as instance:
+        instance.doStep(0.0, 2.5e-4)
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            instance.doStep(now, 2.5e-4)
+        instance.doStep(2.5e-4 + 1e-15, 2.5e-4)
+
+
+def test_the_fmu_refuses_calls_without_arrays(fmu):
+    with opened(fmu) as instance:
+        for call in (instance.fmi2GetReal, instance.fmi2SetReal):
+            with pytest.raises(fmpy.fmi1.FMICallException):
+                call(instance.component, None, 1, None)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="a compiler that is a shell script")
 @pytest.mark.parametrize("program", ["printf '\\033[2J no room' >&2; exit 1", "kill -9 $$", None, 'gcc "'])
 def test_a_compiler_that_fails_leaves_the_old_fmu_and_is_named(tmp_path, monkeypatch, program):
