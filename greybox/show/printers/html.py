@@ -14,6 +14,7 @@ import math
 import re
 from base64 import b64encode
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from html import escape, unescape
 from importlib.resources import files
@@ -29,7 +30,7 @@ from latex2mathml.converter import convert_to_element
 from markupsafe import Markup
 
 from greybox.base import DataError, Finding, write_file
-from greybox.base.document import Block, Details, Document, FigureBlock, FileLink, Text
+from greybox.base.document import Block, Details, Document, FigureBlock, FileLink, TableBlock, Text
 from greybox.show.figures.figure import PALETTE, raise_powers, typeset_number
 from greybox.show.figures.plotly_backend import css_variable, height_on_page, to_plotly
 from greybox.show.sentences.registry import sentence
@@ -95,6 +96,7 @@ def _environment() -> Environment:
     environment.filters |= {
         "notes": split_notes,
         "answer": say_answer,
+        "filled": leave_empty_columns_out,
         "height": height_on_page,
         "say": say,
         "label": label,
@@ -160,6 +162,12 @@ def split_notes(page: Document) -> tuple[list[str], list[str]]:
         if left < 0:
             return texts[:k], texts[k:]
     return texts, []
+
+
+def leave_empty_columns_out(table: TableBlock) -> TableBlock:
+    """The table without columns in which nothing stands below the head."""
+    filled = [k for k in range(len(table.head)) if not table.rows or any(row[k] for row in table.rows)]
+    return replace(table, head=[table.head[k] for k in filled], rows=[[row[k] for k in filled] for row in table.rows])
 
 
 def say_answer(page: Document) -> str:

@@ -17,7 +17,7 @@ import pytest
 from scipy.signal import butter, lfilter
 
 import greybox as gb
-from greybox.base.document import BulletList, Document, FigureBlock, Section, Subheading
+from greybox.base.document import BulletList, Document, FigureBlock, Section, Subheading, TableBlock
 from greybox.base.figure import Axis, Band, Curve, Figure, Panel, Role
 from greybox.base.values import Finding
 from greybox.comparison.result import ComparisonFinding
@@ -156,6 +156,12 @@ def test_a_name_at_the_beginning_of_the_answer_stays_as_it_is_written() -> None:
     assert (
         say_answer(named) == "axis + play explains its records." and say_answer(told) == "The plain model lacks play."
     )
+
+
+def test_a_column_of_a_page_has_something_below_its_head() -> None:
+    table = TableBlock("constants", ["name", "value", "remark"], [["a", "1", ""], ["b", "2", ""]])
+    html = render_page(Document("t", "An answer.", sections=[Section("data", "Data", [table])]))
+    assert ">value</th>" in html and ">remark</th>" not in html
 
 
 def test_a_page_has_no_bar_of_buttons_over_a_figure_and_one_meaning_of_plus_minus(good: gb.Fit) -> None:
