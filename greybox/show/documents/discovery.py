@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from greybox.base import Severity
+from greybox.base import Severity, format_unit
 from greybox.base import document as doc
 from greybox.base.json_shape import to_values
 from greybox.base.numerics import TINY
@@ -28,8 +28,8 @@ from greybox.show.sentences.wording import (
     change_text,
     choose_prefix,
     count_noun,
+    quantity_text,
     record_text,
-    value_with_unit,
     with_unit,
 )
 
@@ -246,8 +246,8 @@ def _holdout(discovery: Discovery) -> Iterator[doc.Block]:
     rows = [
         [
             output,
-            *(value_with_unit(v, typeset_unit(e.unit), 4) for v in (e.before, e.after)),
-            value_with_unit(e.floor, typeset_unit(e.unit), 4) if e.is_floor_known else "not known",
+            *(quantity_text(v, format_unit(e.unit), 4) for v in (e.before, e.after)),
+            quantity_text(e.floor, format_unit(e.unit), 4) if e.is_floor_known else "not known",
             _explained(e),
         ]
         for output, e in errors.items()
