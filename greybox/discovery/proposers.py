@@ -62,7 +62,7 @@ def add_objections(search: EffectSearch, answer: FittedCandidate, signals: Seque
             continue
         offers += [
             (SearchStage.SHAPE_CORRECTION, rest, partial(_list_simpler, answer, effect, rest, signals)),
-            (SearchStage.EVIDENCE, rest, partial(_list_constants, effect, rest)),
+            (SearchStage.EVIDENCE, rest, partial(list_constants_in_place, effect, rest)),
         ]
     offered: list[tuple[FittedCandidate, Effect]] = []
     for stage, base, offer in offers:
@@ -250,17 +250,17 @@ def _list_simpler(
     return [make_power_effect(_site_of(rest, signal), signal.dependence, signal.variable, signal.value)]
 
 
-def _list_constants(effect: Effect, rest: FittedCandidate) -> list[Effect]:
+def list_constants_in_place(effect: Effect, rest: FittedCandidate) -> list[Effect]:
     """A constant in the place of an effect, without a name: it does as well where the motion never leaves one branch of the effect.
 
     An input that never changes its sign shows an offset of a dead zone, not the zone.
     """
     if effect.name.partition(AT)[0] in CONSTANTS:
         return []
-    nameless = tuple(replace(catalogue_effect(name), name=CURVE) for name in CONSTANTS)
-    placements = find_placements(rest.model, nameless)
-    # The plant may have no place for it.
-    return [p.effect for p in placements if p.effect is not None and p.site not in rest.model.auxiliary]
+    placements = find_placements(rest.model, tuple(map(catalogue_effect, CONSTANTS)))
+    # The plant may have no place for it. At whatever site, it has no name.
+    places = [p.effect for p in placements if p.effect is not None and p.site not in rest.model.auxiliary]
+    return [replace(constant, name=CURVE) for constant in places]
 
 
 def _plan_linear_paths(search: EffectSearch) -> list[RefitJob]:
