@@ -146,13 +146,16 @@ class _Order:
         whole = set(self.answer.names)
         named = [k for k in named if not (set(sets[k].names) < whole and probable & (whole - set(sets[k].names)))]
         good, best = self.draws.good.mean(axis=0), max((shares[k] for k in named), default=0.0)
-        return [
-            k
-            for k in named
-            if good[k] >= EQUAL_SHARE
-            or sets[k].names == self.answer.names
-            or (self.is_open and shares[k] >= ENOUGH * best)
-        ]
+        winner = next((k for k in named if sets[k].names == self.answer.names), None)
+
+        def does_equally_well(k: int) -> bool:
+            if good[k] >= EQUAL_SHARE or k == winner:
+                return True
+            # What takes less than the set that won is its equal with no more constants only.
+            is_simple = winner is None or shares[k] >= shares[winner] or sets[k].free <= sets[winner].free
+            return self.is_open and is_simple and bool(shares[k] >= ENOUGH * best)
+
+        return [k for k in named if does_equally_well(k)]
 
     def choose(self, equal: Sequence[int], parts: RigParts) -> int | None:
         """Of the most usual sets the one that wins most often among themselves; None where the rig can have none of them."""

@@ -172,3 +172,11 @@ def test_what_is_told_is_not_asked():
     plain = falling_ball().with_parts(has=["fluid"], lacks=["contact", "analogue"])
     draws = table(plain, quadratic_damping=0.90)
     assert prefer(plain, draws, "quadratic_damping").question is None
+
+
+def test_a_usual_set_of_more_constants_that_takes_less_does_not_do_equally_well():
+    plain = rotor()
+    draws = table(plain, backlash=0.9, coulomb_friction__constant_load=0.8)
+    assert prefer(plain, draws, "backlash").candidate.effects == ("backlash",)
+    draws = table(plain, backlash=0.9, coulomb_friction=0.8)
+    assert prefer(plain, draws, "backlash").candidate.effects == ("coulomb_friction",)
