@@ -201,12 +201,14 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
     if not headless:
         below = split_header(first[skipped + 1], separator) if len(first) > skipped + 1 else []
         has_units = _is_row_of_units(below, len(headers))
+        labelled = _name_by_labels(headers, below)
         if has_units:
             headers = [str(header) for header in join_units(headers, below)]
         misplaced = describe_misplaced_header(first[skipped:], list(map(int, rows[skipped : len(first)])))
-        if misplaced and not has_units:
+        if misplaced and not (has_units or labelled):
             raise DataError(f"{path.name}: {misplaced}")
-        skipped += 1 + has_units
+        headers = labelled or headers
+        skipped += 0 if labelled else 1 + has_units
     else:
         stated_header = _find_header_in_comments(comments, int(rows[skipped]), separator, len(headers))
         if stated_header is not None:
@@ -297,6 +299,18 @@ def _holds_numbers(fields: Sequence[str]) -> bool:
     """Whether the fields are those of a row, not of a header: numbers and perhaps gaps."""
     numbers = [_is_value(field.replace(",", ".")) for field in fields]
     return any(numbers) and all(is_number or is_gap(field) for is_number, field in zip(numbers, fields, strict=True))
+
+
+def _name_by_labels(first: Sequence[str], second: Sequence[str]) -> list[str]:
+    """Names of the columns of a log whose every row says them, ``sec: 0.29  out: 64``: the words before the numbers; none of a header."""
+    if len(first) != len(second):
+        return []
+    pairs = [(one.replace(",", "."), other.replace(",", ".")) for one, other in zip(first, second, strict=True)]
+    are_words = [one == other and not _is_value(one) for one, other in pairs]
+    are_numbers = [all(_is_value(text) or is_gap(text) for text in pair) for pair in pairs]
+    if not any(are_words) or not any(are_numbers) or not all(map(any, zip(are_words, are_numbers, strict=True))):
+        return []
+    return [first[k - 1].rstrip(":=") if k and are_words[k - 1] and are_numbers[k] else "" for k in range(len(first))]
 
 
 def _is_value(text: str) -> bool:
