@@ -237,6 +237,8 @@ def _standardise(trace: Trace, name: str) -> np.ndarray | None:
     """What the model leaves of an output (N,) with variance one, its gaps at zero; None where that is no white noise."""
     residual = trace.residual(name)[:COMPARED_ROWS]
     known = np.isfinite(residual)
+    if not known.any():  # its run fails at once
+        return None
     values, levels = residual[known] - residual[known].mean(), np.unique(trace.measured[name][:COMPARED_ROWS][known])
     power = float(np.mean(values**2))
     if not (len(levels) > 1 and power > (LEAST_STEPS * np.diff(levels).min()) ** 2):

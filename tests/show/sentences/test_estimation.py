@@ -25,6 +25,27 @@ ONE, TWO = {"parameters": ["K"]}, {"parameters": ["K", "B"]}
 
 GOLDEN = [
     (
+        "noise_shared",
+        "run 2",
+        {"other": "run 1", "shared": 0.93, "judges": False},
+        "run 2 and run 1 seem to be one measurement: what the model leaves of them agrees like one noise (correlation 0.93); then its"
+        " data count twice, and intervals are too narrow; leave one out",
+    ),
+    (
+        "noise_shared",
+        "run 2",
+        {"other": "run 1", "shared": 0.93, "judges": True},
+        "run 2 and run 1 seem to be one measurement: what the model leaves of them agrees like one noise (correlation 0.93); then it"
+        " cannot validate the model; use another record",
+    ),
+    (
+        "input_before_open",
+        "run 1",
+        {"seconds": 21.3, "first": 330.0, "unit": "K", "input": "Tin", "until": 21.3},
+        "record run 1 begins in motion, and for 21.3 s it shows what Tin was before: taken is its first value, 330 K; state another"
+        " with --before Tin=VALUE (before=), or begin at --from 21.3, from where the record knows it",
+    ),
+    (
         "no_freedom",
         "",
         {"readings": 3, "unknowns": 3},
