@@ -203,6 +203,9 @@ register(
             f"measured velocities of {join_names(f.values['joints'])} are {1e3 * f.values['low']:.2g} to"
             f" {1e3 * f.values['high']:.2g} ms late behind the positions, as a filter does it: they are brought forward"
         ),
+        RobotCode.READ_SELDOM: lambda f: (
+            f"positions are new every {1e3 * f.values['step']:.3g} ms, and written more often: rows that repeat them are left out"
+        ),
         RobotCode.LONG_MEMORY: lambda f: (
             f"what is left of the torques remembers {f.values['memory']:.3g} s, and {f.values['rows']:.3g} s were recorded: the intervals"
             " may be too narrow; record ten times as long"
@@ -216,7 +219,7 @@ register(
         ),
         RobotCode.NOT_FOLLOWED: lambda f: (
             f"a quarter of the torque of {join_names(f.values['joints'])} or more is not followed: are its columns those of this joint, in"
-            " these units, and in the order of the axes?"
+            " these units, with this sign, and in the order of the axes?"
         ),
         RobotCode.GAIN: lambda f: (
             f"{f.subject} reads {f.values['gain']:.3g} times its torque if the other joints read right; were it these that read"
@@ -227,6 +230,10 @@ register(
             "currents alone tell torque constants, masses and frictions but for one factor that all of them share: it is that at which"
             f" links weigh what {f.values['source']} says{' beside the payload' * bool(f.values['payload'])}; one known constant"
             " (--torque-constant JOINT=VALUE) or a record with a known payload (--payload RECORD=KG) closes it"
+        ),
+        RobotCode.CONSTANT_UNTOLD: lambda f: (
+            f"the record hardly tells what one ampere gives at {join_names(f.values['joints'])}: it is taken as described or as at the"
+            " others, and what is said of friction there is in proportion; --torque-constant JOINT=VALUE states it"
         ),
         RobotCode.PHYSICAL: lambda f: (
             "links whose mass is nowhere negative follow the torques"

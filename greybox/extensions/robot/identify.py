@@ -155,17 +155,24 @@ def identify_robot(
         names_late = [j.name for j, lag in zip(base.robot.axes, late, strict=True) if lag > step]
         values = {"joints": names_late, "low": late[late > step].min(), "high": late.max()}
         findings.append(Finding(RobotCode.VELOCITY_LATE, values=values))
+    slow = [m.step for m, each in zip(log.motions, logs, strict=True) if m.step > 1.5 * np.median(np.diff(each.time))]
+    if slow:
+        findings.append(Finding(RobotCode.READ_SELDOM, values={"step": max(slow)}))
     known = _weigh_description(base, prior, payloads)
     scale, free = _read_constants(robot, logs, axes, torque_constants)
     gauge = np.zeros_like(known)
     if free and not known.any() and set(free) >= set(np.flatnonzero(log.counts.any(axis=0))):
         gauge = _set_level(base, log)
-    scale[free] = _guess_constants(log, known + gauge, scale, free)
+    if free:
+        scale[free] = _guess_constants(base, log, known + gauge, scale, free)
     log = replace(log, tau=scale * log.tau)
     for k, joint in enumerate(base.robot.axes):
         if not log.counts[:, k].any():
             findings.append(Finding(RobotCode.AXIS_WITHOUT_ROWS, Severity.WARNING, joint.name))
-    point, table, chosen = _search(log, known, gauge, free)
+    point, table, chosen, free, untold = _search(log, known, gauge, free)
+    guessed = [base.robot.axes[i].name for i in untold]
+    if guessed:
+        findings.append(Finding(RobotCode.CONSTANT_UNTOLD, Severity.WARNING, values={"joints": guessed}))
     sums = table.weigh_by_residual(chosen)
     torques = _follow_torques(log, point.move(solve(sums, chosen), log.fastest), free)
     sums = _join_blocks(sums, log, torques, findings)
@@ -191,11 +198,12 @@ def identify_robot(
     lost = [j.joint for j in joints if j.final > LOST_SHARE * j.torque and rough[j.joint] < ROUGH]
     # Of a torque that is lost nothing is certain, and it takes part in what is said of the rigid bodies; gains compare all joints.
     effects = [
-        replace(e, grade=Grade.PROBABLE) if e.joint in lost or (strange and e.kind == GAIN.name) else e
+        replace(e, grade=Grade.PROBABLE) if e.joint in (*lost, *guessed) or (strange and e.kind == GAIN.name) else e
         for e in (*answer.list_effects(), *inertias)
     ]
     if lost:
         verdict, payload = RigidVerdict.OTHER, None
+        further = [f for f in further if f.code != RobotCode.SCALED]
     for e in effects:
         if e.rival:
             further.append(Finding(RobotCode.RIVAL, subject=e.joint, values={"kind": e.kind, "rival": e.rival}))
@@ -242,9 +250,10 @@ def _check_reach(log: Experiment, joint: Joint, number: int) -> None:
     low, high = float(np.nanmin(q)), float(np.nanmax(q))
     if np.isfinite(reach) and (low < joint.lower - reach or high > joint.upper + reach):
         unit = joint.units["q"]
+        other = {"rad": "deg", "m": "mm"}[unit]
         raise DataError(
             f"record {log.name!r}: q{number} goes from {low:.4g} to {high:.4g} {unit}, and {joint.name} of the robot from"
-            f" {joint.lower:.4g} to {joint.upper:.4g} {unit}; name its column, or state its unit: --column 'q{number} [deg]=HEADER'"
+            f" {joint.lower:.4g} to {joint.upper:.4g} {unit}; name its column, or state its unit: --column 'q{number} [{other}]=HEADER'"
         )
 
 
@@ -289,8 +298,14 @@ def _set_level(base: BaseParameters, log: JointLog) -> np.ndarray:
     return np.asarray(weight * np.outer(row, row))
 
 
-def _guess_constants(log: JointLog, known: np.ndarray, scale: np.ndarray, free: Sequence[int]) -> np.ndarray:
-    """Torque constants to begin from: least squares of ``0 = Y beta + effects - K i``, which noise of the currents makes too small."""
+def _guess_constants(
+    base: BaseParameters, log: JointLog, known: np.ndarray, scale: np.ndarray, free: Sequence[int]
+) -> np.ndarray:
+    """Torque constants to begin from: those with which the described links, and friction, follow the currents.
+
+    Where their weight does not show in the current of a joint it begins as the others; where none shows, by ``0 = Y beta + effects - K i``,
+    whose answers are too small by the noise of the currents: zero solves it too.
+    """
     n, B = log.tau.shape[1], len(known) - 1
     table = fill_table(replace(log, tau=scale * log.tau), known, np.zeros_like(known), WorkingPoint.start(B, n))
     joints, gain = table.joints.copy(), B + COLUMNS.index(GAIN)
@@ -302,7 +317,18 @@ def _guess_constants(log: JointLog, known: np.ndarray, scale: np.ndarray, free: 
     x = solve(replace(table, joints=joints).weigh(np.ones(n)), chosen)
     # A reading without any torque behind it is left as it is.
     guessed = x[chosen[len(chosen) - len(free) :]]
-    return np.where(guessed != 0, guessed, 1.0)
+    # i = (described rigid bodies + effects) / K
+    mixing = np.zeros((table.joints.shape[2] - 1, 1 + len(USUAL)))
+    mixing[: len(base.names), 0], mixing[B : B + len(USUAL), 1:] = base.values, np.eye(len(USUAL))
+    sums = [BlockProducts(table.joints[i], table.rows[i]).substitute(mixing, np.zeros(len(mixing))) for i in free]
+    shares = np.array([(each.fit().x[0], each.fit().std[0]) for each in sums])
+    shows = np.abs(shares[:, 0]) > NAMED_DEVIATIONS * shares[:, 1]
+    if not shows.any():
+        return np.where(guessed != 0, guessed, 1.0)
+    # Friction takes power from a drive: what a drive that only turns its own link gives is of the sign of its speed.
+    power = table.joints[list(free), :, B + COLUMNS.index(VISCOUS), -1].sum(axis=1)
+    usual = np.median(1 / np.abs(shares[shows, 0]))
+    return np.where(shows, 1 / np.where(shows, shares[:, 0], 1.0), np.copysign(usual, power))
 
 
 def _usual(base: int, joints: Iterable[int]) -> list[int]:
@@ -339,12 +365,11 @@ def _match_axes(robot: Robot, logs: Sequence[Experiment]) -> tuple[Robot, list[i
 
 def _search(
     log: JointLog, known: np.ndarray, gauge: np.ndarray, free: Sequence[int]
-) -> tuple[WorkingPoint, JointTable, list[int]]:
-    """Columns of the answer, and the table linearised about it."""
+) -> tuple[WorkingPoint, JointTable, list[int], list[int], list[int]]:
+    """The table linearised about the answer, and its columns; of the axes with a free constant those that tell it, and the others."""
     base, n, fastest = len(known) - 1, log.tau.shape[1], log.fastest
     joints = np.flatnonzero(log.counts.any(axis=0)).tolist()
-    fixed = [place_column(base, i, GAIN) for i in free if i in joints]
-    chosen = sorted([*range(base), *_usual(base, joints), *fixed])
+    chosen = [*range(base), *_usual(base, joints)]
 
     def settle(point: WorkingPoint, times: int) -> tuple[WorkingPoint, JointTable]:
         table = fill_table(log, known, gauge, point)
@@ -354,7 +379,15 @@ def _search(
         return point, table
 
     # First with the usual effects alone, which need no load.
-    point, table = settle(WorkingPoint.start(base, n), SETTLING if free else 1)
+    point, table = settle(WorkingPoint.start(base, n), 1)
+    gains = {i: place_column(base, i, GAIN) for i in free if i in joints}
+    fit = table.weigh_by_residual(chosen).take([*chosen, *gains.values()]).fit()
+    # Gains are one where they begin. What is not known to its standard errors would take all effects of its joint along.
+    shown = [i for i, std in zip(gains, fit.std[len(chosen) :], strict=True) if std < 1 / NAMED_DEVIATIONS]
+    fixed = [gains[i] for i in shown]
+    if fixed:
+        chosen = sorted([*chosen, *fixed])
+        point, table = settle(point, SETTLING)
     while added := _find_unusual(table.weigh_by_residual(chosen), chosen, base, joints, log.motions[0].step):
         for column, value in added:
             joint, kind = kind_of(base, column)
@@ -371,7 +404,7 @@ def _search(
             point.gains[joint] = 1.0 if kind is GAIN else point.gains[joint]
             point.widths[joint] = np.nan if kind is STRIBECK else point.widths[joint]
         point, table = settle(point, 1)
-    return point, table, chosen
+    return point, table, chosen, shown, [i for i in gains if i not in shown]
 
 
 def _find_unusual(
@@ -536,10 +569,16 @@ class _Answer:
         beside = self.point.complete(kind, joint, fit.x[place])
         # Of two joints the readings tell which is larger, and not which is wrong.
         is_known = kind is not GAIN or self.table.rows.any(axis=1).sum() > 2
-        if is_known and beside / fit.std[place] * np.sign(value) > CERTAIN_DEVIATIONS and share > CERTAIN_SHARE:
-            return Grade.ESTABLISHED, share, ""
-        errors = {c: self._fit([*without, c])[0].residual for c in further}
+        # The column of a gain holds the effect itself, as it is linearised about all of them: that it could replace it says nothing.
+        rivals = [c for c in further if kind_of(self.table.base, c)[1] is not GAIN]
+        errors = {c: self._fit([*without, c])[0].residual for c in rivals}
         rival = min(errors, key=errors.__getitem__, default=None)
+        # What cannot be told apart may do the same in its place: a motor of a lift, its weight less than it is heavy, and an offset.
+        left, lost = (self._fit(columns)[0].residual for columns in (self.chosen, without))
+        is_alone = rival is None or errors[rival] > left + SAME_SHARE * (lost - left)
+        is_clear = beside / fit.std[place] * np.sign(value) > CERTAIN_DEVIATIONS and share > CERTAIN_SHARE
+        if is_known and is_clear and is_alone:
+            return Grade.ESTABLISHED, share, ""
         return Grade.PROBABLE, share, "" if rival is None else kind_of(self.table.base, rival)[1].name
 
     def _fit(self, columns: Sequence[int]) -> tuple[BlockSolution, np.ndarray]:
@@ -603,7 +642,7 @@ class _Answer:
         mass, std, interval = _spell(loaded.x[0], loaded.std[0], loaded.quantile[0])
         is_possible = {
             RigidVerdict.AS_DESCRIBED: has_level or abs(factor - 1) <= SCALED_DEVIATIONS * spread,
-            RigidVerdict.SCALED: not has_level,
+            RigidVerdict.SCALED: not has_level and abs(factor) > SCALED_DEVIATIONS * spread,
             # A tool that was taken off weighs less than nothing, and no more than its link; beside a free level none can be told.
             RigidVerdict.PAYLOAD: not loaded.is_open[0]
             and abs(mass) > SCALED_DEVIATIONS * std

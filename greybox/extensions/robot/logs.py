@@ -31,7 +31,7 @@ QUANTITIES = {
 OTHERS = {
     *("desired", "target", "command", "commanded", "cmd", "ref", "reference", "setpoint", "goal", "error", "err"),
     *("acceleration", "accelerations", "accel", "acc", "ddq", "qdd"),
-    *("temperature", "temp", "voltage", "volt", "mode", "status"),
+    *("temperature", "temp", "voltage", "volt", "mode", "status", "load", "pwm", "duty", "fault", "online"),
 }
 # Words that say the unit of a joint's column.
 UNITS = {
@@ -157,7 +157,7 @@ def _find_signal(name: str, unit: str, robot: Robot) -> str:
     if not hits:
         return ""
     _, number, rest = max(hits)
-    if OTHERS & set(rest):
+    if not number or OTHERS & set(rest):
         return ""
     quantity = next((signal for signal, known in QUANTITIES.items() if set(known) & set(rest)), "")
     joint = robot.axes[number - 1]
@@ -172,7 +172,7 @@ def _find_signal(name: str, unit: str, robot: Robot) -> str:
 
 
 def _spell_joints(robot: Robot) -> dict[tuple[str, ...], int]:
-    """How the axes may be called, in words: as described, and without what all begin with or the word joint."""
+    """How the axes may be called, in words: as described, and without what all begin with or the word joint; 0 is a joint that follows."""
     names = [_split(joint.name) for joint in robot.axes]
     shared = 0
     while len(names) > 1 and len({name[shared : shared + 1] for name in names}) == 1:
@@ -185,7 +185,8 @@ def _spell_joints(robot: Robot) -> dict[tuple[str, ...], int]:
             # A number alone would take q1 for the joint that is called 1.
             if any(not word.isdigit() for word in each):
                 spellings.setdefault(each, set()).add(number)
-    return {spelling: min(numbers) for spelling, numbers in spellings.items() if len(numbers) == 1}
+    followers = {_split(joint.name): 0 for joint in robot.joints if joint.tie is not None}
+    return {spelling: min(numbers) for spelling, numbers in spellings.items() if len(numbers) == 1} | followers
 
 
 def _split(name: str) -> tuple[str, ...]:

@@ -38,6 +38,9 @@ RESTING_DEVIATIONS, RESTING_SHARE = 4.0, 0.02
 RESTING_SPEED = 1e-6
 # A velocity that is so many times the slope of its position, or as many times smaller, is in another unit, or of another joint.
 SAME_SPEED = 2.0
+# Counts by which a reading moves at once, from which it is not the next count of a slow motion; and share of such moves behind which it
+# stands still, from which rows are written more often than the sensor is read.
+SEVERAL_COUNTS, HELD_SHARE = 3.0, 0.5
 # Fewer rows than this show no motion that could be differentiated.
 LEAST_ROWS = 64
 # Central differences of sixth order for values three rows before to three rows after (Fornberg, Mathematics of Computation 51, 1988).
@@ -110,16 +113,21 @@ def reconstruct_motion(
         For a record that is too short, has gaps in time, readings of position that are missing, or velocities that contradict them.
     """
     columns = {**record.inputs, **record.outputs}
-    time, step = _space_evenly(record)
-    n, rate, generator = len(time), 1 / step, np.random.default_rng(0)
     empty = np.full(record.rows, np.nan)
+    new = {f"q{k}": _find_new_rows(np.asarray(columns.get(f"q{k}", empty))) for k in axes}
+    # What is held between readings is read as seldom as it is new.
+    time, step = _space_evenly(record, slice(None) if keep_ends else min(new.values(), key=len))
+    n, rate, generator = len(time), 1 / step, np.random.default_rng(0)
 
     def read(name: str) -> np.ndarray:
-        values = np.asarray(columns.get(name, empty))
-        return values if record.sampling_time else np.interp(time, record.time, values)
+        values, rows = np.asarray(columns.get(name, empty)), new.get(name, slice(None))
+        is_as_written = record.sampling_time and n == record.rows == len(values[rows])
+        return values if is_as_written else np.interp(time, record.time[rows], values[rows])
 
     q, dq, ddq = np.empty((3, n, len(axes)))
     tau = np.column_stack([read(f"tau{k}" if f"tau{k}" in columns else f"i{k}") for k in axes])
+    # One number in all rows was not measured.
+    tau[:, np.ptp(tau, axis=0) == 0] = np.nan
     cutoffs, quiet, lags = np.zeros((3, len(axes)))
     for k, number in enumerate(axes):
         position, velocity = read(f"q{number}"), read(f"dq{number}")
@@ -137,12 +145,13 @@ def reconstruct_motion(
             cutoff, level = _find_cutoff(velocity, rate)
             velocity = velocity + shake * level * generator.normal(size=n)
             lag, factor = _compare_velocity(q[:, k], velocity, min(cutoffs[k], cutoff) / 2, rate)
-            if np.std(dq[:, k]) > RESTING_DEVIATIONS * quiet[k] and not 1 / SAME_SPEED < factor < SAME_SPEED:
+            remaining = level * np.sqrt(2 * cutoff / rate)
+            is_moved = np.std(dq[:, k]) > RESTING_DEVIATIONS * max(quiet[k], remaining)
+            if is_moved and not 1 / SAME_SPEED < factor < SAME_SPEED:
                 raise DataError(
                     f"record {record.name!r}: dq{number} is {factor:.3g} times the slope of q{number}; state the unit of what is off, q, dq"
                     f" or time (--column 'dq{number} [deg/s]=HEADER'), or name its column"
                 )
-            remaining = level * np.sqrt(2 * cutoff / rate)
             if remaining < quiet[k]:
                 quiet[k], lags[k] = remaining, lag
                 # What a filter of the sensor delays is brought forward.
@@ -169,8 +178,16 @@ def _compare_velocity(position: np.ndarray, velocity: np.ndarray, cutoff: float,
     return lag, float(v @ v / (dq @ v)) if dq @ v else 0.0
 
 
-def _space_evenly(record: Experiment) -> tuple[np.ndarray, float]:
-    """Times with one step. Raises DataError where that cannot be."""
+def _find_new_rows(values: np.ndarray) -> np.ndarray:
+    """Rows (N,) in which a reading is new, where rows are written more often than it is read; else all of them."""
+    moves = np.abs(np.diff(values))
+    far = moves > SEVERAL_COUNTS * estimate_written_step([values])
+    is_held = far[:-1].any() and np.mean(moves[1:][far[:-1]] == 0) > HELD_SHARE
+    return np.flatnonzero(np.concatenate([[True], (moves > 0) | (not is_held)]))
+
+
+def _space_evenly(record: Experiment, rows: np.ndarray | slice) -> tuple[np.ndarray, float]:
+    """Times with one step, that of some rows. Raises DataError where that cannot be."""
     if record.rows < LEAST_ROWS:
         raise DataError(
             f"record {record.name!r} has {record.rows} rows; at least {LEAST_ROWS} are needed to differentiate"
@@ -182,8 +199,10 @@ def _space_evenly(record: Experiment) -> tuple[np.ndarray, float]:
             f"record {record.name!r} has a gap of {np.diff(record.time)[longest]:.3g} s after {record.time[longest]:.6g} s, over which"
             " nothing can be differentiated; split it with --split-holes"
         )
-    count = record.rows if record.sampling_time else int((record.time[-1] - record.time[0]) / usual) + 1
-    return record.time[0] + usual * np.arange(count), usual
+    step = max(usual, float(np.median(np.diff(record.time[rows]))))
+    is_even = record.sampling_time and step == usual
+    count = record.rows if is_even else int((record.time[-1] - record.time[0]) / step) + 1
+    return record.time[0] + step * np.arange(count), step
 
 
 def _find_cutoff(values: np.ndarray, rate: float) -> tuple[float, float]:

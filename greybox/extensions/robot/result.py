@@ -20,6 +20,7 @@ class RobotCode(StrEnum):
     AXIS_HELD = "robot_axis_held"
     AXIS_WITHOUT_ROWS = "robot_axis_without_rows"
     VELOCITY_LATE = "robot_velocity_late"
+    READ_SELDOM = "robot_read_seldom"
     LONG_MEMORY = "robot_long_memory"
     OPEN_CONSTANTS = "robot_open_constants"
     RIVAL = "robot_rival"
@@ -29,6 +30,7 @@ class RobotCode(StrEnum):
     NOT_FOLLOWED = "robot_not_followed"
     GAIN = "robot_gain"
     TORQUE_LEVEL = "robot_torque_level"
+    CONSTANT_UNTOLD = "robot_constant_untold"
 
 
 class RigidVerdict(StrEnum):

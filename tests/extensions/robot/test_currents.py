@@ -13,7 +13,7 @@ from greybox.base import DataError
 from greybox.discovery.decision import Grade
 from greybox.extensions.robot import Robot, identify_robot, read_robot
 from greybox.extensions.robot.result import RigidVerdict
-from tests.support.robots import DOUBLE_PENDULUM, joint_log, write
+from tests.support.robots import DOUBLE_PENDULUM, joint_log, swing, write
 
 # What one ampere gives, the second motor with its leads exchanged.
 CONSTANTS = np.array([2.5, -0.6])
@@ -48,6 +48,30 @@ def test_free_constants_have_the_level_of_the_description_and_it_is_said(arm: Ro
     assert low < CONSTANTS[1] / CONSTANTS[0] < high
     assert_hidden(found)
     assert "one known constant" in " ".join(map(str, found.findings))
+
+
+JAW = """<link name="jaw"><inertial><origin xyz="0 -0.03 0"/><mass value="0.02"/>
+<inertia ixx="6e-6" iyy="2e-6" izz="5e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="gripper" type="revolute"><parent link="lower"/><child link="jaw"/><axis xyz="0 1 0"/>
+<limit lower="-9" upper="9" effort="1" velocity="9"/></joint></robot>"""
+
+
+def test_a_drive_that_moves_little_beside_its_friction_keeps_a_constant(tmp_path: Path) -> None:
+    """Zero solves ``Y beta + effects = K i`` of such a joint as well: it is taken as those of the others, and nothing is certain."""
+    arm = read_robot(write(tmp_path / "arm.urdf", DOUBLE_PENDULUM.replace("</robot>", JAW)))
+    log, generator = joint_log(), np.random.default_rng(5)
+    q, dq, ddq = (np.column_stack([x, y[:, 0]]) for x, y in zip(swing()[1:], swing(seed=9)[1:], strict=True))
+    tau = gb.robots.RigidBody(arm).compute_torques(q, dq, ddq) + [0.8, 0.4, 0.03] * dq + [0.5, 0.3, 0.05] * np.sign(dq)
+    current = (tau + [0.05, 0.05, 0.004] * generator.normal(size=tau.shape)) / 1.1
+    columns = {f"{s}{k + 1}": x[:, k] for s, x in (("q", q), ("i", current)) for k in range(3)}
+    found = identify_robot(arm, gb.Experiment("log", log.time, {}, columns))
+    assert [c.joint for c in found.torque_constants] == ["shoulder", "elbow"]
+    assert [f.values["joints"] for f in found.findings if f.code == "robot_constant_untold"] == [["gripper"]]
+    dry = next(e for e in found.effects if (e.joint, e.kind) == ("gripper", "coulomb_friction"))
+    assert dry.grade is Grade.PROBABLE and 0.02 < dry.value < 0.1
+    assert found.verdict is RigidVerdict.AS_DESCRIBED
+    elbow = next(e for e in found.effects if (e.joint, e.kind) == ("elbow", "coulomb_friction"))
+    assert elbow.grade is Grade.ESTABLISHED and abs(elbow.value - 0.3) < 4 * elbow.std
 
 
 def test_one_known_constant_or_one_torque_closes_the_level(arm: Robot) -> None:

@@ -116,6 +116,55 @@ def test_a_torque_that_is_noise_makes_no_other_robot(arm: gb.robots.Robot) -> No
     assert found.verdict == "as described" and not found.effects
 
 
+def test_a_torque_of_noise_alone_is_no_factor_of_the_description(arm: gb.robots.Robot) -> None:
+    log, generator = joint_log(), np.random.default_rng(8)
+    noise = {f"tau{k}": generator.normal(size=log.rows) for k in (1, 2)}
+    found = identify_robot(arm, gb.Experiment("log", log.time, {}, {**log.outputs, **noise}))
+    assert found.verdict == "other than described"
+    codes = [f.code for f in found.findings]
+    assert "robot_not_followed" in codes and "robot_scaled" not in codes
+
+
+def test_a_torque_of_one_number_was_not_measured(arm: gb.robots.Robot, hidden: RobotIdentification) -> None:
+    log = joint_log(**HIDDEN)
+    found = identify_robot(arm, gb.Experiment("log", log.time, {}, {**log.outputs, "tau2": np.zeros(log.rows)}))
+    assert [f.subject for f in found.findings if f.code == "robot_axis_without_rows"] == ["elbow"]
+    (viscous,) = found.effects
+    assert viscous.value == pytest.approx(hidden.effects[0].value, rel=0.01)
+    assert found.payload.mass == pytest.approx(0.4, rel=0.02)
+
+
+def test_positions_that_are_written_more_often_than_read_are_taken_when_they_are_new(arm: gb.robots.Robot) -> None:
+    log, order = joint_log(**HIDDEN), np.arange(8000)
+    # One encoder is read every fourth row, the other every fifth.
+    held = {f"q{k}": log.outputs[f"q{k}"][order - (order + k) % (3 + k)] for k in (1, 2)}
+    found = identify_robot(arm, gb.Experiment("log", log.time, {}, {**log.outputs, **held}))
+    assert [f.values["step"] for f in found.findings if f.code == "robot_read_seldom"] == [pytest.approx(0.01)]
+    for effect, true in zip(found.effects, (0.8, 0.5, 0.2), strict=True):
+        assert effect.grade is Grade.ESTABLISHED and abs(effect.value - true) < 4 * effect.std < 0.1 * true
+    # An encoder of few counts that moves slowly stands still between them, and is read in every row.
+    coarse = {n: np.round(v / 0.02) * 0.02 if n.startswith("q") else v for n, v in log.outputs.items()}
+    motion = reconstruct_motion(gb.Experiment("log", log.time, {}, coarse), [1, 2])
+    assert motion.step == pytest.approx(0.002)
+
+
+LIFT = """<robot name="lift"><link name="base"/><link name="cage"><inertial><mass value="4"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="lift" type="prismatic"><parent link="base"/>
+<child link="cage"/><axis xyz="0 0 1"/><limit lower="-9" upper="9" effort="300" velocity="9"/></joint></robot>"""
+
+
+def test_what_another_effect_does_as_well_is_not_certain(tmp_path: Path) -> None:
+    """(m + Jm) a + m g: a motor of 0.5 kg, or a cage that is 0.5 kg heavier with an offset of -0.5 kg g."""
+    time, q, dq, ddq = (x if x.ndim == 1 else x[:, 0] for x in swing())
+    tau = 4.5 * ddq + 4 * 9.81 + 8 * dq + 0.1 * np.random.default_rng(0).normal(size=len(time))
+    lift = read_robot(write(tmp_path / "lift.urdf", LIFT))
+    found = identify_robot(lift, gb.Experiment("log", time, {}, {"q1": q, "tau1": tau}))
+    grades = {e.kind: (e.value, e.grade, e.rival) for e in found.effects}
+    assert grades["viscous_friction"][1] is Grade.ESTABLISHED
+    offset, grade, rival = grades["torque_offset"]
+    assert offset == pytest.approx(-0.5 * 9.81, rel=0.02) and grade is Grade.PROBABLE and rival == "motor_inertia"
+
+
 def test_a_delay_of_the_torque_is_told_from_friction(arm: gb.robots.Robot) -> None:
     log = joint_log()
     late = {n: np.interp(log.time - 0.006, log.time, v) if n.startswith("tau") else v for n, v in log.outputs.items()}

@@ -137,3 +137,34 @@ def test_a_velocity_that_contradicts_its_position_is_refused(
     both = gb.Experiment("log", log.time, {}, {**log.outputs, **slope})
     with pytest.raises(DataError, match=f"dq2 is {said} the slope of q2; state the unit"):
         identify_robot(plant.robot, both)
+
+
+def test_a_velocity_of_a_joint_that_stands_is_no_contradiction(plant: gb.robots.RobotPlant) -> None:
+    log, generator = joint_log(rows=2000), np.random.default_rng(3)
+    still = {"q2": 1e-4 * log.outputs["q2"] + 1e-4 * generator.normal(size=2000)}
+    slope = {f"dq{k}": np.gradient(log.outputs[f"q{k}"], log.time) for k in (1, 2)}
+    slope["dq2"] = 1e-4 * slope["dq2"] + 0.02 * generator.normal(size=2000)
+    found = identify_robot(plant.robot, gb.Experiment("log", log.time, {}, {**log.outputs, **still, **slope}))
+    assert {e.joint for e in found.effects} <= {"shoulder"}
+
+
+def test_a_joint_that_follows_is_not_its_leader(tmp_path: Path) -> None:
+    mirror = (
+        '<link name="jaw"/><joint name="elbow_mirror" type="continuous"><parent link="upper"/><child link="jaw"/><axis xyz="0 1 0"/>'
+        '<mimic joint="elbow" multiplier="-1"/></joint></robot>'
+    )
+    tied = gb.robot(write(tmp_path / "arm.urdf", limited().replace("</robot>", mirror)))
+    log = joint_log(rows=800)
+    columns = {"time": log.time, **columns_of(log, "{joint}.{what}"), "elbow_mirror.position": -log.outputs["q2"]}
+    (read,) = read_joint_logs(tied, [write_columns(tmp_path / "log.csv", columns)])
+    np.testing.assert_allclose(read.outputs["q2"], log.outputs["q2"], rtol=1e-12)
+    del columns["elbow.position"]
+    (read,) = read_joint_logs(tied, [write_columns(tmp_path / "log.csv", columns)])
+    assert not np.isfinite(read.outputs.get("q2", np.nan)).any()
+
+
+def test_a_load_in_per_cent_is_no_position(plant: gb.robots.RobotPlant, tmp_path: Path) -> None:
+    log = joint_log(rows=800)
+    columns = {"time": log.time, **columns_of(log, "{joint}.{what}"), "elbow.load": log.outputs["tau2"]}
+    (read,) = read_joint_logs(plant, [write_columns(tmp_path / "log.csv", columns)])
+    np.testing.assert_allclose(read.outputs["q2"], log.outputs["q2"], rtol=1e-12)
