@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from greybox.model.effects.catalogue import effect
     from greybox.model.model import Model
     from greybox.model.signals import Input, Output, Parameter, State
-    from greybox.show.describe import report
+    from greybox.show import report
     from greybox.simulation.simulate import simulate
 
     from greybox import comparison, data, discovery, estimation, simulation  # isort: skip
@@ -80,7 +80,7 @@ _NAMES = {
     "data.signals": ("SignalLimit",),
     "model": ("Balance", "Characteristic", "DryFriction", "Effect", "Model"),
     "model.signals": ("Input", "Output", "Parameter", "State"),
-    "show.describe": ("report",),
+    "show": ("report",),
     "simulation.simulate": ("simulate",),
 }
 _HOME = {name: f"greybox.{module}" for module, names in _NAMES.items() for name in names}

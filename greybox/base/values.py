@@ -26,7 +26,7 @@ class Printable:
     """
 
     # The module with ``text`` and ``describe``, by its name as an entry point has it: loaded when somebody prints.
-    PRINTER: ClassVar[str] = "greybox.show.describe"
+    PRINTER: ClassVar[str] = "greybox.show"
 
     def __str__(self) -> str:
         text: str = import_module(self.PRINTER).text(self)

@@ -61,8 +61,7 @@ def check(study: Study) -> Answer:
 def is_record(study: Study) -> bool:
     """Whether a file that records are read from stands in the place of the model."""
     from greybox.data.file_kinds import NO_TABLES, record_suffixes
-    from greybox.shell.plants import find_plant_kind
-    from greybox.shell.project import list_models
+    from greybox.shell.project import find_plant_kind, list_models
 
     path = Path(study.model)
     if path.suffix.lower() in record_suffixes():

@@ -235,7 +235,7 @@ def _show(answer: Answer, study: Study, commands: Mapping[str, Command]) -> None
     """Print an answer as text or JSON, write what goes with it, and end with its exit code."""
     width = terminal_width(sys.stdout)
     if not (study.silent or study.json):
-        from greybox.show.describe import text
+        from greybox.show import text
         from greybox.show.printers.text import wrap_command
 
         shown = answer.text

@@ -199,7 +199,7 @@ def _answer(
     from greybox.base import read_versions, write_json
     from greybox.data.experiment import collect_record_findings
     from greybox.shell.printed import ComparisonAnswer
-    from greybox.show.sentences.registry import sentences
+    from greybox.show.sentences import sentences
 
     known = sentences(collect_record_findings([*records, *validation]))
     fingerprints = {e.name: e.fingerprint for e in (*records, *validation)}

@@ -11,8 +11,8 @@ from typing import Any
 from greybox.base import GreyboxError, ModelError, nearest, parse_unit, read_json, shorten, write_file
 from greybox.base.texts import escape_line, to_comment
 from greybox.model import Effect, Parameter, literal
+from greybox.model.effect import formula_effect
 from greybox.model.effects.catalogue import AT, all_effects, effect
-from greybox.model.effects.formula import formula_effect
 from greybox.shell.project import EFFECTS, display_path, import_standalone, project_root, template_root, values_in
 
 

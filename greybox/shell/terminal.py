@@ -135,7 +135,7 @@ def print_answer(text: str) -> None:
 
 def print_findings(findings: Iterable[Finding]) -> None:
     """A line on stderr for each finding, with its severity in front."""
-    from greybox.show.sentences.registry import sentence
+    from greybox.show.sentences import sentence
 
     for finding in findings:
         print_note(f"{finding.severity}: {sentence(finding)}")
@@ -146,7 +146,7 @@ def print_findings(findings: Iterable[Finding]) -> None:
 
 def write_report(value: Any, target: Path, **more: Any) -> Path:
     """Write the report of a result as ``target``; ``more`` goes to the builder of the page."""
-    from greybox.show.describe import report
+    from greybox.show import report
 
     return report(value, target, command=typed_command(), **more)
 

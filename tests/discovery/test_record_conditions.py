@@ -9,7 +9,7 @@ import greybox as gb
 from greybox.discovery.pipeline import follow_conditions
 from greybox.estimation.options import FitOptions
 from greybox.model.effects.catalogue import effect
-from greybox.show.describe import text
+from greybox.show import text
 from tests.support.stage import STAGE
 
 NOISE = {"x": 1e-5}

@@ -11,7 +11,7 @@ from greybox.discovery.claims import Weights
 from greybox.discovery.holdout import HoldoutScores, ValidationSet
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.table import RIDGE, BlockSums, FitTable, FittedSet, _judge_draws, _keep_whole
-from greybox.model.effects.formula import formula_effect
+from greybox.model.effect import formula_effect
 from greybox.model.signals import Parameter
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records

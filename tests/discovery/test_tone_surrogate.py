@@ -15,7 +15,7 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.validate import validate
 from greybox.extensions.export.python_model import to_python
 from greybox.shell.project import find_model
-from greybox.show.describe import report, text
+from greybox.show import report, text
 from greybox.show.figures.pictures import draw_discovery
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records

@@ -23,7 +23,7 @@ from greybox.model.balance import Balance
 from greybox.model.effects.catalogue import effect
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
-from greybox.show.describe import text
+from greybox.show import text
 from greybox.simulation.simulate import simulate
 from models.emps import emps
 from models.micro_actuator import micro_actuator

@@ -12,7 +12,7 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.score import score
 from greybox.estimation.uncertainty import bootstrap, profile
-from greybox.show.describe import text
+from greybox.show import text
 from greybox.show.figures.pictures import draw_residual_tests
 from tests.support.findings import codes, find
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, three, with_gaps

@@ -21,7 +21,7 @@ from greybox.estimation.profile_pairs import profile_pair
 from greybox.estimation.score import score
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.uncertainty import bootstrap, profile
-from greybox.show.describe import text
+from greybox.show import text
 from tests.support.plant_cases import CASES, PlantCase
 
 FITTED: dict[str, tuple[PlantCase, gb.Fit]] = {}

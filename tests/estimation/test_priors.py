@@ -9,7 +9,7 @@ from greybox.base.errors import ModelError
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.uncertainty import bootstrap, profile
-from greybox.show.describe import text
+from greybox.show import text
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.findings import find

@@ -5,7 +5,7 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
-from greybox.model.effects.formula import formula_effect
+from greybox.model.effect import formula_effect
 
 
 def body() -> Model:

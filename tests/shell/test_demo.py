@@ -12,7 +12,7 @@ import pytest
 from greybox import read_csv, report
 from greybox.estimation.findings import EstimationCode
 from greybox.shell.demonstration import EXTENDED, HIDDEN, KNOWN, NOISE, PLAIN, STRENGTH, Demo, run_demo
-from greybox.show.describe import text
+from greybox.show import text
 from models.micro_actuator import micro_actuator
 from tests.support.findings import codes
 

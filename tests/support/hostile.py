@@ -10,7 +10,7 @@ from typing import Any
 from greybox.base.document import Later
 from greybox.base.errors import GreyboxError
 from greybox.base.values import Finding
-from greybox.show.sentences.registry import sentence
+from greybox.show.sentences import sentence
 
 MARKUP = (
     """</script><script>window.hurt=1</script><img src=x onerror="window.hurt=1">""",

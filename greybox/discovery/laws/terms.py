@@ -21,7 +21,7 @@ import numpy as np
 from greybox.base.units import ONE, parse_unit
 from greybox.base.values import ReadOnly
 from greybox.model import Effect, Model
-from greybox.model.effects.formula import formula_effect
+from greybox.model.effect import formula_effect
 from greybox.model.expressions.text import evaluate_formula, list_formula_names, number_text
 from greybox.model.signals import Parameter
 

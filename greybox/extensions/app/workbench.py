@@ -33,7 +33,7 @@ from greybox.model import Effect, Model, equations_text
 from greybox.model.effects.catalogue import all_effects, find_placements
 from greybox.model.parts import PARTS
 from greybox.model.system import Statement
-from greybox.show.describe import report
+from greybox.show import report
 from greybox.show.documents.tables import MISFIT_HEADS, estimate_cells, misfit_cells
 from greybox.show.figures.discovery import plot_misfit_windows
 from greybox.show.figures.plotly_backend import height_on_page

@@ -14,7 +14,7 @@ from greybox.extensions.changes.constants import Yardstick
 from greybox.extensions.changes.figures import is_determined, plot_changes, plot_course, plot_population
 from greybox.show.documents.tables import provenance_section, records_section, signal_units, worst_first
 from greybox.show.figures.records import plot_residual, plot_run
-from greybox.show.sentences.registry import register, sentence, writes
+from greybox.show.sentences import register, sentence, writes
 from greybox.show.sentences.wording import (
     CHANGE_REACH,
     as_sentence,

@@ -13,8 +13,7 @@ from greybox.extensions.design.problem import Alternative, CampaignCode, Design,
 from greybox.model.effects.catalogue import effect
 from greybox.show.documents.simulation import run_figures
 from greybox.show.documents.tables import provenance_section, typeset_equations, worst_first
-from greybox.show.sentences import wording
-from greybox.show.sentences.registry import register, writes
+from greybox.show.sentences import register, wording, writes
 from greybox.simulation.simulate import simulate
 
 GOALS = {

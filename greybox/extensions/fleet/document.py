@@ -12,8 +12,7 @@ from greybox.base.figure import Axis, Bars, Figure, Panel, Reference, Role, Seri
 from greybox.extensions.fleet.result import ConstantDistribution, FleetCode, FleetResult, RecordEstimate
 from greybox.show.documents.tables import provenance_section, worst_first
 from greybox.show.figures.figure import typeset_unit
-from greybox.show.sentences import wording
-from greybox.show.sentences.registry import register, sentence, writes
+from greybox.show.sentences import register, sentence, wording, writes
 
 # Records that a table of the page holds: those that need a look first; the file has all.
 LISTED_RECORDS = 200

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from greybox.shell.plants import PlantKind
+from greybox.shell.project import PlantKind
 from greybox.shell.study import Study
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from greybox.base import format_unit
 from greybox.base.document import REMARK, Block, Details, Facts, TableBlock
-from greybox.show.sentences.registry import renders
+from greybox.show.sentences import renders
 
 if TYPE_CHECKING:
     from greybox.extensions.fmu.plant import FmuPlant

@@ -14,7 +14,7 @@ from greybox.extensions.robot.result import JointEffect, RigidVerdict, RobotCode
 from greybox.extensions.robot.table import KINDS
 from greybox.show.documents.tables import provenance_section, worst_first
 from greybox.show.figures.figure import typeset_unit
-from greybox.show.sentences.registry import register, writes
+from greybox.show.sentences import register, writes
 from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, percent_text
 
 # Of more joints the answer has the number, the table has the names.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from greybox.base.faces import lazy_face
 
 if TYPE_CHECKING:
+    from greybox.model.effect import formula_effect
     from greybox.model.effects.catalogue import (
         CATALOGUE,
         EffectListing,
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from greybox.model.effects.elasticity import CONTACT, ELASTICITY
     from greybox.model.effects.electrical import ELECTRICAL, THERMAL
     from greybox.model.effects.flow import FLOW, LEVEL
-    from greybox.model.effects.formula import formula_effect
     from greybox.model.effects.friction import DAMPING, FRICTION
     from greybox.model.effects.roles import ROLES, SignalRole
     from greybox.model.effects.rotation import LOAD, ROTATION

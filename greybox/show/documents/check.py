@@ -19,9 +19,9 @@ from greybox.show.documents.fit import OPEN_RECORDS
 from greybox.show.figures.figure import stretches_on_page
 from greybox.show.figures.fit import plot_intervals
 from greybox.show.figures.records import plot_inputs, plot_outputs
+from greybox.show.sentences import sentence
 from greybox.show.sentences.identifiability import describe_inputs, describe_verdict
 from greybox.show.sentences.model import shorten_reason, write_places, write_units
-from greybox.show.sentences.registry import sentence
 from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, percent_text, record_text
 
 if TYPE_CHECKING:

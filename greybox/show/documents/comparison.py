@@ -16,8 +16,7 @@ from greybox.show.documents.fit import OPEN_RECORDS, not_drawn
 from greybox.show.documents.tables import parameters_table, provenance_section, typeset_equations, worst_first
 from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.show.figures.figure import stretches_on_page
-from greybox.show.sentences import wording
-from greybox.show.sentences.registry import sentence, sentences
+from greybox.show.sentences import sentence, sentences, wording
 
 
 def describe_comparison(

@@ -22,7 +22,7 @@ from greybox.show.figures import discovery as search_figures
 from greybox.show.figures.figure import stretches_on_page, typeset_unit
 from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.show.sentences import discovery as words
-from greybox.show.sentences.registry import sentences
+from greybox.show.sentences import sentences
 from greybox.show.sentences.wording import (
     capitalise,
     change_text,

@@ -27,8 +27,8 @@ from greybox.show.figures.records import (
     plot_runs_before_after,
     plot_spectrum,
 )
+from greybox.show.sentences import sentences
 from greybox.show.sentences.estimation import list_tests_not_made, residual_tests_tables
-from greybox.show.sentences.registry import sentences
 from greybox.show.sentences.wording import (
     count_noun,
     format_number,

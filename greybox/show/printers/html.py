@@ -33,7 +33,7 @@ from greybox.base import DataError, Finding, write_file
 from greybox.base.document import Block, Details, Document, FigureBlock, FileLink, TableBlock, Text
 from greybox.show.figures.figure import PALETTE, raise_powers, typeset_number
 from greybox.show.figures.plotly_backend import css_variable, height_on_page, to_plotly
-from greybox.show.sentences.registry import sentence
+from greybox.show.sentences import sentence
 from greybox.show.sentences.wording import as_sentence
 
 # What attributes an equation may have: none that links, loads or runs.

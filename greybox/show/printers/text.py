@@ -13,7 +13,7 @@ from dataclasses import replace
 from greybox.base import Finding, to_line
 from greybox.base import document as doc
 from greybox.base.texts import LINE_WIDTH, to_lines, wrap
-from greybox.show.sentences.registry import sentence
+from greybox.show.sentences import sentence
 from greybox.show.sentences.wording import count_noun
 
 # Notes below the table, and the lines that they take: what is said of a usual result fits on a screen. All stand on the

@@ -23,6 +23,146 @@ One style holds for all of them:
 A writer is found by the name of the class, so a module needs a result class for type checking only.
 """
 
-from greybox.show.sentences.registry import register, renders, sentence, sentences, templates
+from __future__ import annotations
 
-__all__ = ["register", "renders", "sentence", "sentences", "templates"]
+import pkgutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from greybox.base import Check, Finding, to_line
+
+Template = str | Callable[[Any], str]
+Writer = Callable[[Any], str | Sequence[Any]]
+
+_templates: dict[str, Template] = {}
+_writers: dict[str, Writer] = {}
+# Packages that bring their sentences in a module ``document`` of their own.
+EXTENSIONS = "greybox.extensions"
+
+
+def register(new: Mapping[str, Template]) -> None:
+    """Add templates by code.
+
+    Raises
+    ------
+    ValueError
+        If a code has a template already: codes are unique in the library.
+    """
+    twice = sorted(str(code) for code in new if str(code) in _templates)
+    if twice:
+        raise ValueError(f"codes with two templates: {', '.join(twice)}")
+    _templates.update({str(code): template for code, template in new.items()})
+
+
+def writes(*codes: str) -> Callable[[Callable[[Any], str]], Callable[[Any], str]]:
+    """Decorator: the function is the template of these codes."""
+
+    def add(writer: Callable[[Any], str]) -> Callable[[Any], str]:
+        register(dict.fromkeys(codes, writer))
+        return writer
+
+    return add
+
+
+def renders(class_name: str) -> Callable[[Writer], Writer]:
+    """Decorator: the function writes values of the class of this name, as a text or as blocks. Class names are unique in the library."""
+
+    def add(writer: Writer) -> Writer:
+        if class_name in _writers:
+            raise ValueError(f"two functions write {class_name}")
+        _writers[class_name] = writer
+        return writer
+
+    return add
+
+
+def templates() -> Mapping[str, Template]:
+    """Every template by its code, from all modules of this package."""
+    _load_all()
+    return dict(_templates)
+
+
+def sentence(item: Finding | Check) -> str:
+    """The sentence of a finding or a check.
+
+    Raises
+    ------
+    KeyError
+        If its code has no template.
+    """
+    code = item.code if isinstance(item, Finding) else item.rule
+    if code not in _templates:
+        _load_for(type(code))
+    if code not in _templates:  # read from a file: a plain string that does not say which package it belongs to
+        _load_all()
+    template = _templates[code]
+    if not isinstance(template, str):
+        text = template(item)
+    elif isinstance(item, Finding):
+        text = template.format_map({"subject": item.subject, **item.values})
+    else:
+        text = template.format(
+            value=item.value, limit=item.limit, subject=item.subject, outcome="passed" if item.passed else "failed"
+        )
+    # Subjects and values may be texts of a file.
+    return to_line(text)
+
+
+def sentences(items: Iterable[Finding | Check]) -> tuple[str, ...]:
+    """The sentences of several findings or checks, in their order."""
+    return tuple(map(sentence, items))
+
+
+def find_writer(value: Any) -> Writer:
+    """The function that writes values of this class.
+
+    Raises
+    ------
+    TypeError
+        If there is none.
+    """
+    for load in (_load_for, lambda _: _load_all()):
+        for kind in type(value).__mro__:
+            load(kind)
+            if kind.__name__ in _writers:
+                return _writers[kind.__name__]
+    raise TypeError(f"no module of greybox.show writes a {type(value).__name__}")
+
+
+@cache
+def _load_for(kind: type) -> None:
+    """Import the modules that serve the package of ``kind``, if there are any: printing one result should not load the whole library."""
+    for module in _sentences_of(kind.__module__):
+        import_module(module)
+
+
+def _sentences_of(module: str) -> list[str]:
+    """``greybox.estimation.linear.sampling`` -> the modules ``estimation`` and ``linear`` here; an extension has its own ``document``."""
+    if module.startswith("greybox.") and not module.startswith(f"{EXTENSIONS}."):
+        return [f"{__package__}.{part}" for part in module.split(".") if part in _modules()]
+    package = module.rpartition(".")[0]
+    beside = f"{package}.document"
+    return [beside] if package and find_spec(beside) is not None else []
+
+
+@cache
+def _load_all() -> None:
+    """Import every module of this package and those of the extensions; each registers what it holds."""
+    for module in (*(f"{__package__}.{name}" for name in _modules()), *_own_sentences()):
+        import_module(module)
+
+
+@cache
+def _modules() -> tuple[str, ...]:
+    return tuple(module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)]))
+
+
+@cache
+def _own_sentences() -> tuple[str, ...]:
+    beside = import_module(EXTENSIONS).__path__
+    names = [f"{EXTENSIONS}.{module.name}.document" for module in pkgutil.iter_modules(beside)]
+    return tuple(name for name in names if find_spec(name) is not None)

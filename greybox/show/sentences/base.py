@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from greybox.base import Finding
 from greybox.base.files import JournalCode
-from greybox.show.sentences.registry import register, writes
+from greybox.show.sentences import register, writes
 from greybox.show.sentences.wording import count_noun
 
 

@@ -11,8 +11,8 @@ from greybox.base import Finding, format_unit
 from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock, Text
 from greybox.comparison.blackbox.polynomial import BlackBoxFinding
 from greybox.comparison.result import ComparisonFinding
+from greybox.show.sentences import register, renders, writes
 from greybox.show.sentences.estimation import status_text
-from greybox.show.sentences.registry import register, renders, writes
 from greybox.show.sentences.wording import format_number, value_with_unit, with_unit
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
 from greybox.base.texts import to_word
 from greybox.data.findings import RecordCode
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
-from greybox.show.sentences.registry import register, renders, sentences
+from greybox.show.sentences import register, renders, sentences
 from greybox.show.sentences.wording import count_noun, join_names, percent_text
 
 if TYPE_CHECKING:

@@ -16,9 +16,8 @@ from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
 from greybox.discovery.plausibility import MOST_ODDS
 from greybox.model.parts import TOLD, part
-from greybox.show.sentences import wording
+from greybox.show.sentences import register, renders, sentence, wording, writes
 from greybox.show.sentences.estimation import status_text
-from greybox.show.sentences.registry import register, renders, sentence, writes
 
 if TYPE_CHECKING:
     from greybox.discovery import Dependence, EffectTest, HoldoutError, Surrogate

@@ -17,9 +17,8 @@ from greybox.estimation.record_trends import TrendKind
 from greybox.estimation.residuals import ResidualTestKind
 from greybox.estimation.result import ResultCode
 from greybox.estimation.transcription.problem import SolutionCode, TranscriptionReason
-from greybox.show.sentences import wording
+from greybox.show.sentences import register, renders, sentence, sentences, wording, writes
 from greybox.show.sentences.data import describe_source, join_alike
-from greybox.show.sentences.registry import register, renders, sentence, sentences, writes
 
 if TYPE_CHECKING:
     from greybox.estimation import FitNoise, MultiStartResult, SolverReport

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base import Finding
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode
-from greybox.show.sentences.registry import register, renders, sentence, writes
+from greybox.show.sentences import register, renders, sentence, writes
 from greybox.show.sentences.wording import format_with_std, join_names, value_with_unit, with_unit
 
 if TYPE_CHECKING:

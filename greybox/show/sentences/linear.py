@@ -10,8 +10,8 @@ from greybox.base import Finding, format_unit
 from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
 from greybox.base.numerics import VANISHED_POLE
 from greybox.estimation.linear.exported_model import ExportFinding
+from greybox.show.sentences import register, renders, writes
 from greybox.show.sentences.estimation import status_text
-from greybox.show.sentences.registry import register, renders, writes
 from greybox.show.sentences.wording import percent_text, value_with_unit
 
 if TYPE_CHECKING:

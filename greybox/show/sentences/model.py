@@ -15,7 +15,7 @@ from greybox.model.effects.signal_path import MISREAD
 from greybox.model.expressions.text import number_text
 from greybox.model.parts import PARTS, Occurrence
 from greybox.model.sites import NEEDED
-from greybox.show.sentences.registry import renders
+from greybox.show.sentences import renders
 
 if TYPE_CHECKING:
     from greybox.model import Effect, Model, Parameter

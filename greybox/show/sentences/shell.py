@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from greybox.base.document import Block, Paragraphs, TableBlock
 from greybox.base.texts import to_word
 from greybox.show.printers.text import table_lines
-from greybox.show.sentences.registry import register, renders, writes
+from greybox.show.sentences import register, renders, writes
 from greybox.show.sentences.wording import count_noun
 
 if TYPE_CHECKING:

@@ -34,7 +34,7 @@ from greybox.extensions.design.campaign import (
 )
 from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignPolicy
 from greybox.shell.commands import app
-from greybox.show.describe import describe_page
+from greybox.show import describe_page
 from tests.support.command import CliRunner
 from tests.support.result_schema import strict_offences
 

@@ -20,7 +20,7 @@ from greybox.extensions.fmu.plant import read_fmu
 from greybox.model.effects.catalogue import applicable_effects
 from greybox.model.equations import equations_text
 from greybox.shell.commands import app
-from greybox.show.describe import text
+from greybox.show import text
 from greybox.simulation.kernel.c_compiler import GreyboxWarning
 from tests.support.command import CliRunner
 from tests.support.reference_fmus import MASS, VAN_DER_POL, build_reference_fmu

@@ -6,7 +6,7 @@ import pytest
 import greybox as gb
 from greybox import Balance, Experiment, Model, Output, Parameter, State
 from greybox.base.errors import ModelError, UnitError
-from greybox.model.effects.formula import formula_effect
+from greybox.model.effect import formula_effect
 
 
 def decay() -> Model:

@@ -16,7 +16,7 @@ from greybox.model.effects.catalogue import CATALOGUE, find_placements
 from greybox.model.effects.roles import ROLES, RoleOwner
 from greybox.model.effects.scales import measure_scales
 from greybox.model.sites import NEEDED
-from greybox.show.describe import text
+from greybox.show import text
 from greybox.show.sentences.model import describe_missing, write_roles_page
 
 # What an effect sees at its site under these words, whatever the model calls it; and other balances by their names.

@@ -19,7 +19,7 @@ from greybox.estimation.check import check
 from greybox.extensions.design.campaign import Campaign, CampaignPlan, CampaignStatus, CampaignStep
 from greybox.extensions.design.problem import CampaignCode
 from greybox.extensions.export.document import Export
-from greybox.show.describe import describe_page
+from greybox.show import describe_page
 from greybox.show.printers.html import mathml, render_page, write_page
 from models.micro_actuator import micro_actuator
 from tests.extensions.design.test_design import QUICK

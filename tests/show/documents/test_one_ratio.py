@@ -17,7 +17,7 @@ from greybox.estimation.result import load_fit
 from greybox.estimation.result_parts import Misfit
 from greybox.extensions.app.session import LoadedRecord, Session
 from greybox.extensions.app.workbench import show_run
-from greybox.show.describe import text
+from greybox.show import text
 from greybox.show.documents.fit import fit_tone
 from greybox.show.figures.pictures import fit_sheets
 from greybox.show.printers.html import render_page

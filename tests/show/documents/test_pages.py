@@ -27,8 +27,8 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.result_parts import FitNoise, Misfit, Trace
 from greybox.shell.commands import app
-from greybox.show import describe
-from greybox.show.describe import describe_page
+from greybox.show import describe_page
+from greybox.show import text as write
 from greybox.show.documents.tables import misfit_table
 from greybox.show.figures.records import plot_residual
 from greybox.show.printers.html import LARGEST_PAGE, cell, label, render_page, say, say_answer, write_page
@@ -413,5 +413,5 @@ def test_a_run_whose_states_were_fitted_is_not_called_free(how, estimation, vali
     record = gb.Experiment("a", time, {"u": np.sin(time)}, {"y": np.sin(time - 0.3)})
     found = gb.fit(first_order(), record, validation=record, noise={"y": 0.01})
     how = replace(found.solver, statistics={**found.solver.statistics, **how})
-    text = describe.text(replace(found, solver=how), 200, details=True)
+    text = write(replace(found, solver=how), 200, details=True)
     assert estimation in text and validation in text

@@ -11,7 +11,7 @@ import pytest
 import greybox as gb
 from greybox.comparison.compare import compare
 from greybox.estimation.check import check
-from greybox.show.describe import describe_page
+from greybox.show import describe_page
 from greybox.show.printers.html import write_page
 from models.micro_actuator import micro_actuator
 from tests.support.browser import opened, wait_until

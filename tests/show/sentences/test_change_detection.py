@@ -9,7 +9,7 @@ import pytest
 from greybox.base.values import Check, Finding, Severity
 from greybox.extensions.changes.document import change_tables, constant_row, is_determined, merge_not_seen, p_text
 from greybox.extensions.changes.result import ChangeCode, ChangeRule, ConstantChange, PopulationConstant
-from greybox.show.sentences.registry import sentence
+from greybox.show.sentences import sentence
 from greybox.show.sentences.wording import spread_text
 
 C = ChangeCode

@@ -6,7 +6,7 @@ import pytest
 from greybox.data.signals import multisine
 from greybox.estimation.check import check
 from greybox.estimation.identifiability.combinations import OpenDirection
-from greybox.show.describe import text
+from greybox.show import text
 from greybox.simulation.simulate import simulate
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox

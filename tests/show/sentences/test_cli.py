@@ -15,7 +15,7 @@ from greybox.estimation.result_parts import Misfit
 from greybox.model import Input, Output
 from greybox.shell.answers import CodeAnswer, FitAnswer, LinearAnswer, RecordMisfit, SimulationAnswer
 from greybox.shell.terminal import CommandCode as Code
-from greybox.show.describe import text
+from greybox.show import text
 from greybox.show.printers.text import block_lines, print_text, wrap_command
 from greybox.show.sentences.shell import study_line
 

@@ -2,7 +2,7 @@
 
 from greybox.model.effects.catalogue import CATALOGUE, EffectListing, Placement, effect, place_effect
 from greybox.model.signals import Parameter
-from greybox.show.describe import text
+from greybox.show import text
 from greybox.show.sentences.model import write_catalogue_page, write_places
 
 FRICTION = effect("coulomb_friction")

@@ -7,8 +7,8 @@ from greybox.base.values import Finding
 from greybox.data.experiment import Experiment
 from greybox.data.findings import RecordCode
 from greybox.data.survey import FileSurvey, SignalSurvey
-from greybox.show.describe import text
-from greybox.show.sentences.registry import sentence
+from greybox.show import text
+from greybox.show.sentences import sentence
 
 GAP = {"gaps": 2, "start": 10.0, "stop": 40.5, "usual_step": 0.5}
 GOLDEN = {

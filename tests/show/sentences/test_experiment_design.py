@@ -7,7 +7,7 @@ import pytest
 from greybox.base.values import Finding
 from greybox.extensions.design.document import name_alternative
 from greybox.extensions.design.problem import Alternative, AlternativeKind, CampaignCode, DesignCode
-from greybox.show.sentences.registry import sentence
+from greybox.show.sentences import sentence
 
 GOLDEN = [
     (

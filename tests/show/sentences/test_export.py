@@ -7,7 +7,7 @@ import pytest
 import greybox as gb
 from greybox.base.values import Finding
 from greybox.estimation.linear.exported_model import ExportFinding as Code
-from greybox.show import describe
+from greybox.show import text as write
 from models.micro_actuator import micro_actuator
 
 FRICTION = {"effects": ["coulomb_friction"], "state": "v", "level": 0.1, "held": 0.0589, "unit": "N"}
@@ -116,7 +116,7 @@ def test_each_code_has_its_sentence(code: Code) -> None:
 
 def test_a_linear_model_prints_its_point_matrices_poles_and_channels() -> None:
     model = gb.linearise(micro_actuator, {"u": 1.0})
-    text = describe.text(model, details=True)
+    text = write(model, details=True)
     assert str(model).splitlines()[0] == "micro_actuator as a linear model, continuous, with 3 states: it is stable."
     for part in (
         "  A = ",

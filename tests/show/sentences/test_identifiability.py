@@ -7,8 +7,8 @@ from greybox.estimation.identifiability.combinations import OpenDirection
 from greybox.estimation.identifiability.excitation import Excitation
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode
 from greybox.estimation.identifiability.structural import StructuralIdentifiability
+from greybox.show.sentences import sentence
 from greybox.show.sentences.identifiability import describe_closing
-from greybox.show.sentences.registry import sentence
 
 ONE = {"missing": 1, "constants": ["M", "B"], "relations": [{"constants": ["Kf", "Kv"], "equal": True}]}
 TWIN = {

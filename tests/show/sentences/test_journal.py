@@ -4,7 +4,7 @@ import pytest
 
 from greybox.base.files import JournalCode
 from greybox.base.values import Finding
-from greybox.show.sentences.registry import sentence
+from greybox.show.sentences import sentence
 
 GOLDEN = [
     (

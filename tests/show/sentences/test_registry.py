@@ -10,8 +10,8 @@ import pytest
 
 import greybox
 from greybox.base.values import Check, Finding, Printable, Severity, with_code
-from greybox.show.describe import _find_describer, text
-from greybox.show.sentences.registry import _writers, register, sentence, templates
+from greybox.show import _find_describer, text
+from greybox.show.sentences import _writers, register, sentence, templates
 
 
 def codes() -> dict[str, str]:
