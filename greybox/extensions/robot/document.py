@@ -157,8 +157,8 @@ def plot_base_parameters(identified: RobotIdentification) -> Figure:
             Points(names, np.array([b.described for b in each]), Role.BASELINE, "described", size=7, hollow=True),
             Points(names, np.array([b.value for b in each]), Role.EXTENDED, "identified", size=5, half_bars=bars),
         )
-        axis = Axis("base parameter", typeset_unit(unit.replace(" ", "*")))
-        panels.append(Panel(unit, series, Axis(scale=Scale.CATEGORY), axis))
+        shown = typeset_unit(unit.replace(" ", "*"))
+        panels.append(Panel(shown, series, Axis(scale=Scale.CATEGORY), Axis("base parameter", shown)))
     caption = "The base parameters with their 95 % intervals, and what the description says."
     return Figure("base_parameters", tuple(panels), caption)
 

@@ -192,8 +192,8 @@ def label(text: Text) -> str:
 UNBROKEN = re.compile(r" (?=[±×])|(?<=[±×]) |(?<=\d) (?=\S{1,8}$)")
 
 
-# A unit behind a number at the end of a cell.
-UNIT_AT_END = re.compile(r"(?<=[\d⁰-⁹¹²³]) ((?:1/)?[^\W\d_][\w^*/()]*)$")
+# A unit behind a number at the end of a cell, or of one of several things in it.
+UNIT_AT_END = re.compile(r"(?<=[\d⁰-⁹¹²³]) ((?:1/)?[^\W\d_][\w^*/()]*)(?=$|, )")
 
 
 def cell(text: str, head: str = "") -> str:

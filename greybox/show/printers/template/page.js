@@ -63,8 +63,9 @@
     };
   };
 
-  // Pixels that a sheet of paper is wide while printing, and those of a figure that shares it with another one.
-  const PAPER = 1070, HALF = 520;
+  // Pixels that a sheet of paper is wide while printing, and those of a figure that shares it with another one; its height over that on a screen.
+  const PAPER = 1070, HALF = 520, PAPER_HEIGHT = 0.7;
+  const caption = (element) => element?.querySelector("figcaption").textContent;
   let paper = false;
   const curves = (figure, chosen = figure.shown) => {
     const shown = new Set(figure.views[chosen].traces);
@@ -226,15 +227,22 @@
   // On paper everything is light; folds are open but for those that hold figures, which are printed where the reader has opened them.
   let before = [];
   window.addEventListener("beforeprint", () => {
-    before = [root.dataset.theme === "dark", [...document.querySelectorAll("details:not([open]):not(.words):not(:has(figure))")]];
+    before = [root.dataset.theme === "dark", [...document.querySelectorAll("details:not([open]):not(.words):not(:has(figure))")], new Map()];
     before[1].forEach((d) => (d.open = true));
     paper = true;
+    for (const figure of figures) {
+      // What the page shows at its head is not printed again, and two figures beside one another are less high.
+      figure.element.classList.toggle("again", figure.element.id !== "evidence" && caption(figure.element) === caption(document.getElementById("evidence")));
+      before[2].set(figure, figure.plot.style.height);
+      if (figure.element.id !== "evidence") figure.plot.style.height = `${PAPER_HEIGHT * parseFloat(figure.plot.style.height)}px`;
+    }
     dress(false);
     figures.forEach(spread);
   });
   window.addEventListener("afterprint", () => {
     document.querySelectorAll(".printed").forEach((extra) => extra.remove());
     before[1].forEach((d) => (d.open = false));
+    before[2].forEach((height, figure) => (figure.plot.style.height = height));
     paper = false;
     dress(before[0]);
   });
