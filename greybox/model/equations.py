@@ -20,11 +20,13 @@ from greybox.model.system import System, intensity_unit
 
 Line = Callable[[str, str, str], str]  # name, unit, text -> one line of the equations
 
-# System -> width -> text: models that share a system differ in values alone, of which the equations say nothing.
-_TEXTS: WeakKeyDictionary[System, dict[int, str]] = WeakKeyDictionary()
+# Letters of a line: a longer balance is written one term a line.
+WIDTH = 110
+# System -> text: models that share a system differ in values alone, of which the equations say nothing.
+_TEXTS: WeakKeyDictionary[System, str] = WeakKeyDictionary()
 
 
-def equations_text(model: Model, width: int = 110, *, in_full: bool = False) -> str:
+def equations_text(model: Model, *, in_full: bool = False) -> str:
     """The equations of a model: one balance after the other, each term above its name, then inputs and outputs.
 
     Effects are written out: an added term stands under the effect's name, a changed input, output or parameter shows as what stands in
@@ -34,8 +36,6 @@ def equations_text(model: Model, width: int = 110, *, in_full: bool = False) -> 
     ----------
     model
         The model.
-    width
-        In characters: a longer balance is written one term a line.
     in_full
         Whether what stands behind the name of a `Block` follows.
 
@@ -48,10 +48,9 @@ def equations_text(model: Model, width: int = 110, *, in_full: bool = False) -> 
         effects = [f"  {b.effect.name} at {b.site}  {b.effect.equation}" for b in model.bound_effects]
         ties = [f"  tied  {tie}" for tie in model.ties]
         return "\n".join(["  no equations: it is run from outside", *effects, *ties])
-    texts = _TEXTS.setdefault(model.system, {})
-    if width not in texts:
-        texts[width] = _write_equations(model, width)
-    return "\n".join([texts[width], *(_blocks_in_full(model.system) if in_full else [])])
+    if model.system not in _TEXTS:
+        _TEXTS[model.system] = _write_equations(model)
+    return "\n".join([_TEXTS[model.system], *(_blocks_in_full(model.system) if in_full else [])])
 
 
 def _blocks_in_full(system: System) -> list[str]:
@@ -68,7 +67,7 @@ def _blocks_in_full(system: System) -> list[str]:
     return [*(f"  {part} = {text}" for part, text in printer.shared), *lines]
 
 
-def _write_equations(model: Model, width: int) -> str:
+def _write_equations(model: Model) -> str:
     system = model.system
     heads = [(b.name, _bracketed(b.unit)) for b in system.stated_balances]
     pushed = {
@@ -88,7 +87,7 @@ def _write_equations(model: Model, width: int) -> str:
 
     lines = []
     for balance, head in zip(system.stated_balances, heads, strict=False):
-        first, *rest = _balance(balance, width - indent)
+        first, *rest = _balance(balance, WIDTH - indent)
         lines += [line(*head, first), *(" " * indent + text for text in rest)]
     for d in sticking:
         unit = next(b.unit for b in system.balances if b.name == d.balance)
@@ -111,10 +110,10 @@ def _write_equations(model: Model, width: int) -> str:
             f"{i.name} {_bracketed(i.unit)}" + f" delayed by {delays[k]}" * bool(delays[k])
             for k, i in enumerate(model.inputs)
         ]
-        lines += _listed(line, "inputs", inputs, width - indent)
+        lines += _listed(line, "inputs", inputs, WIDTH - indent)
     outputs = system.outputs if system.stated_outputs is None else system.stated_outputs
     measured = [f"{o.name} {_bracketed(o.unit)} = {expression_text(outputs[k])}" for k, o in enumerate(model.outputs)]
-    lines += _listed(line, "outputs", measured, width - indent)
+    lines += _listed(line, "outputs", measured, WIDTH - indent)
     return "\n".join(lines)
 
 

@@ -66,9 +66,11 @@ def check_constants(title: str, rules: Sequence[Rule], p: NamedValues) -> None:
         raise ModelError(f"model {title!r} breaks a rule: {'; '.join(broken)}")
 
 
-def check_measured(
-    title: str, rules: Sequence[Rule], measured: Mapping[str, np.ndarray], p: NamedValues, rows_shown: int = 5
-) -> None:
+# Rows that a message names.
+ROWS_SHOWN = 5
+
+
+def check_measured(title: str, rules: Sequence[Rule], measured: Mapping[str, np.ndarray], p: NamedValues) -> None:
     """Refuse measured signals, name -> (N,), that break a rule: DataError with rows, worst value and the remedy."""
     broken = []
     for rule in rules:
@@ -80,8 +82,8 @@ def check_measured(
             rows = np.flatnonzero(~(margin > 0) & np.isfinite(value))
         if len(rows):
             worst = rows[np.argmin(margin[rows])]
-            shown = ", ".join(str(row + 1) for row in rows[:rows_shown])
-            rest = f" and {len(rows) - rows_shown} more" if len(rows) > rows_shown else ""
+            shown = ", ".join(str(row + 1) for row in rows[:ROWS_SHOWN])
+            rest = f" and {len(rows) - ROWS_SHOWN} more" if len(rows) > ROWS_SHOWN else ""
             broken.append(
                 f"output {rule.output!r} breaks the rule '{rule.name}' at row{'s' * (len(rows) > 1)} {shown}{rest}"
                 f" (row {worst + 1}: {value[worst]:.6g} {format_unit(rule.unit)}); {rule.remedy}"

@@ -145,19 +145,19 @@ class ModelOutline:
     parameters: dict[str, SignalOutline] = field(default_factory=dict)
 
 
-def list_outlines(folder: Path | None = None) -> list[ModelOutline]:
-    """The models of the project around ``folder`` (None: the working one), then the shipped ones that it does not have."""
+def list_outlines() -> list[ModelOutline]:
+    """The models of the project around the working folder, then the shipped ones that it does not have."""
     from greybox.shell.project import model_files, project_root, template_root  # loads models, which no help needs
 
     outlines: dict[str, ModelOutline] = {}
-    for root in dict.fromkeys(filter(None, (project_root(folder), template_root().resolve()))):
+    for root in dict.fromkeys(filter(None, (project_root(), template_root().resolve()))):
         for file in model_files(root):
             for outline in read_outlines(file):
                 outlines.setdefault(outline.name, outline)
     return list(outlines.values())
 
 
-def find_outline(name: str, folder: Path | None = None) -> ModelOutline | None:
+def find_outline(name: str) -> ModelOutline | None:
     """The model that ``name`` finds: a name, or a file as `greybox.shell.project.find_model` takes it; None where there is none."""
     path, colon, wanted = name.rpartition(".py:")
     if colon or name.endswith(".py"):
@@ -165,7 +165,7 @@ def find_outline(name: str, folder: Path | None = None) -> ModelOutline | None:
         outlines = read_outlines(file)
         wanted = wanted if colon else file.stem
         return next((o for o in outlines if wanted in o.names), outlines[0] if len(outlines) == 1 else None)
-    return next((outline for outline in list_outlines(folder) if name in outline.names), None)
+    return next((outline for outline in list_outlines() if name in outline.names), None)
 
 
 def read_outlines(file: Path) -> list[ModelOutline]:

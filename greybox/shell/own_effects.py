@@ -16,14 +16,8 @@ from greybox.model.effects.catalogue import AT, all_effects, effect
 from greybox.shell.project import EFFECTS, display_path, import_standalone, project_root, template_root, values_in
 
 
-def find_own_effects(folder: Path | None = None) -> tuple[Effect, ...]:
-    """The effects in ``effects/`` of the project around a folder.
-
-    Parameters
-    ----------
-    folder
-        Where the project is looked for, upwards; None for the working folder. A project with files of another user is none: nothing in
-        it is run.
+def find_own_effects() -> tuple[Effect, ...]:
+    """The effects in ``effects/`` of the project around the working folder. One with files of another user is none: nothing in it is run.
 
     Returns
     -------
@@ -35,7 +29,7 @@ def find_own_effects(folder: Path | None = None) -> tuple[Effect, ...]:
     ModelError
         For a file that cannot be run, with the line, and for two effects of one name.
     """
-    root = project_root(folder)
+    root = project_root()
     if root is None or root == template_root().resolve():
         return ()
     effects: dict[str, tuple[Effect, Path]] = {}
@@ -52,12 +46,12 @@ def find_own_effects(folder: Path | None = None) -> tuple[Effect, ...]:
     return tuple(entry for entry, _ in effects.values())
 
 
-def find_effect(name: str, folder: Path | None = None) -> Effect:
+def find_effect(name: str) -> Effect:
     """An effect of the project, else of the catalogue, by its name; with ``_at_`` and the name of a site for that one.
 
     Raises ModelError for an unknown name; the message lists the nearest ones.
     """
-    kept = {e.name: e for e in find_own_effects(folder)}
+    kept = {e.name: e for e in find_own_effects()}
     if name in kept:
         return kept[name]
     if kept and name.partition(AT)[0] not in {e.name for e in all_effects()}:
@@ -67,7 +61,7 @@ def find_effect(name: str, folder: Path | None = None) -> Effect:
     return effect(name)
 
 
-def keep_effect(name: str, result: Path | None = None, folder: Path | None = None) -> Path:
+def keep_effect(name: str, result: Path | None = None) -> Path:
     """Write the law of a discovery into ``effects/`` of the project, where every later discovery tries it.
 
     Parameters
@@ -76,8 +70,6 @@ def keep_effect(name: str, result: Path | None = None, folder: Path | None = Non
         What the effect is called from now on.
     result
         The ``discovery.json`` with the law; None for the newest in ``results/``.
-    folder
-        Where the project is looked for; None for the working folder.
 
     Returns
     -------
@@ -91,12 +83,12 @@ def keep_effect(name: str, result: Path | None = None, folder: Path | None = Non
     """
     from greybox.discovery.result import Discovery
 
-    root = project_root(folder)
+    root = project_root()
     if root is None:
         raise ModelError("no project here to keep an effect in: a project has a folder models/; see greybox init")
     if not name.isidentifier() or keyword.iskeyword(name):
         raise ModelError(f"effect {name!r}: give a name of letters, digits and underscores, such as soft_stop")
-    if name in {e.name for e in (*all_effects(), *find_own_effects(folder))}:
+    if name in {e.name for e in (*all_effects(), *find_own_effects())}:
         raise ModelError(f"effect {name!r}: there is one of this name already; give another one")
     source = result or _newest_result(root)
     laws = [e for e in read_json(source, Discovery)["effects"] if "formula" in e]

@@ -52,12 +52,6 @@ def project_root(start: Path | None = None, *, named: bool = False) -> Path | No
     return None
 
 
-def find_foreign_project(start: Path | None = None) -> Path | None:
-    """The project around a folder (None: the working one) that is not used because of its owner; None where there is none."""
-    root = project_root(start, named=True)
-    return root if root is not None and root != project_root(start) else None
-
-
 def template_root() -> Path:
     """The folder with the shipped ``models/`` and ``fits/``: inside the installed package, or the repository itself."""
     installed = PACKAGE / "_template"
@@ -287,7 +281,7 @@ class ModelListing(Printable):
     problems: tuple[str, ...]
 
 
-def find_model(name: str, folder: Path | None = None) -> Model:
+def find_model(name: str) -> Model:
     """Find a model by its name or its file.
 
     Parameters
@@ -295,9 +289,7 @@ def find_model(name: str, folder: Path | None = None) -> Model:
     name
         The name of a file in ``models/`` of the project, or of a model in one of them, else the name of a shipped model, or of a plant
         of the entry points ``greybox.plants``. A path, ``my/rig.py``, gives the model or plant (`greybox.simulation.plant.Plant`) named
-        like the file or the only one in it; ``my/rig.py:name`` selects one.
-    folder
-        Where the project is looked for, upwards; the working folder if left out or where there is none.
+        like the file or the only one in it; ``my/rig.py:name`` selects one. The project is that around the working folder.
 
     Returns
     -------
@@ -326,14 +318,14 @@ def find_model(name: str, folder: Path | None = None) -> Model:
         return _in_file(Path(f"{path}.py"), wanted)
     if is_model_path(name):
         return _in_file(Path(name), "")
-    for source in _sources(folder):
+    for source in _sources():
         model = source.find(name)
         if model is not None:
             return model
     plants = {n: v for n, v in load_extensions(ExtensionKind.PLANTS).items() if is_plant(v)}
     if name in plants:
         return as_model(plants[name])
-    known = list_models(folder)
+    known = list_models()
     close = nearest(name, [*(f.name for f in known.models), *plants])
     as_path = f"; or give the path {name}.py" if Path(f"{name}.py").is_file() else ""
     broken = "".join(f"\n  not read: {problem}" for problem in known.problems)
@@ -370,15 +362,20 @@ def find_shipped_model(name: str) -> Model:
     return model
 
 
-def list_models(folder: Path | None = None) -> ModelListing:
-    """The models of the project around ``folder`` (the working folder), then the shipped ones that it does not have.
+def list_models() -> ModelListing:
+    """The models of the project around the working folder, then the shipped ones that it does not have.
 
     Files that cannot be run are listed as problems and do not hide the others.
     """
     entries: dict[str, ModelEntry] = {}
-    foreign = find_foreign_project(folder)
-    problems = [] if foreign is None else [_refuse_foreign(foreign)]
-    for source in _sources(folder):
+    problems = []
+    foreign = project_root(named=True)
+    if foreign not in (None, project_root()):
+        problems.append(
+            f"{foreign}: the project belongs to another user, so its models are not run; if you trust it, give the path of a model file,"
+            f" as in {next(iter(model_files(foreign)))}"
+        )
+    for source in _sources():
         for file, held in source.contents():
             if isinstance(held, ModelError):
                 problems.append(str(held))
@@ -430,20 +427,13 @@ class _Source:
         return None
 
 
-def _sources(folder: Path | None = None) -> Iterator[_Source]:
-    root = project_root(folder) or project_root()
+def _sources() -> Iterator[_Source]:
+    root = project_root()
     shipped = template_root().resolve()
     if root is not None:
         yield _Source(root, named=True, shipped=False)
     if root != shipped and (shipped / "models").is_dir():
         yield _Source(shipped, named=root is None, shipped=True)
-
-
-def _refuse_foreign(root: Path) -> str:
-    return (
-        f"{root}: the project belongs to another user, so its models are not run; if you trust it, give the path of a model file,"
-        f" as in {next(iter(model_files(root)))}"
-    )
 
 
 def _in_file(path: Path, wanted: str) -> Model:

@@ -6,6 +6,7 @@ Slow; ``RELIABILITY_SIZE=10`` makes ten times as many trials, ``RELIABILITY_WRIT
 from __future__ import annotations
 
 import ast
+import contextlib
 import json
 import sys
 import traceback
@@ -139,11 +140,14 @@ def use_law(path: Path, _: object) -> None:
     project = path.parent / "project"
     (project / "models").mkdir(parents=True, exist_ok=True)
     (project / "models" / "rig.py").write_text("import greybox\n")
-    kept = keep_effect("kept", path, project)
+    source = path.resolve()
+    with contextlib.chdir(project):
+        kept = keep_effect("kept", source)
+        found = find_own_effects()
     kinds = {type(statement).__name__ for statement in ast.parse(kept.read_bytes()).body}
     try:
         assert kinds == {"Expr", "ImportFrom", "Assign"}
-        assert find_own_effects(project)[0].name == "kept"
+        assert found[0].name == "kept"
     finally:
         kept.unlink()
 

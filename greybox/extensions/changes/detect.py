@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.special import fdtrc
@@ -174,13 +173,10 @@ def detect_changes(
     skip: int = 0,
     search_effects: bool = True,
     effects: Sequence[Effect] | None = None,
-    without: Collection[str] = (),
     on_message: Callable[[str], None] | None = None,
     on_refit: Callable[[int], None] | None = None,
     executor: Executor | None = None,
     workers: int = 0,
-    time_limit: float = math.inf,
-    journal: str | Path | None = None,
 ) -> ChangeDetection:
     """Find what has changed in a machine since it was fitted.
 
@@ -201,11 +197,11 @@ def detect_changes(
         Rows at the start of each validation record that the errors leave out.
     search_effects
         Whether to look for an effect where the residual asks for one.
-    effects, without
-        The only candidates, instead of the catalogue, and names of effects that are not tried.
+    effects
+        The only candidates, instead of the catalogue.
     on_message, on_refit
         Called with a line about each step, and with the number of finished refits of the search.
-    executor, workers, time_limit, journal
+    executor, workers
         As `greybox.discover` takes them.
 
     Returns
@@ -271,14 +267,11 @@ def detect_changes(
             skip=skip,
             noise={name: rmse for name, rmse in misfit.items() if rmse > 0},
             effects=effects,
-            without=without,
             options=options,
             on_message=on_message,
             on_refit=on_refit,
             executor=executor,
             workers=workers,
-            time_limit=time_limit,
-            journal=journal,
         )
         # The constants of today are those beside the effect that has appeared.
         if list_appeared_effects(discovery):

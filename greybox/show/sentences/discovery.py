@@ -79,14 +79,20 @@ def _dependence(dependence: Dependence) -> str:
     return dependence_text(to_values(dependence))
 
 
-def timing_text(timing: MisfitTiming | None, listed: int = 4) -> str:
-    """When most of the misfit happens; ``listed`` stretches of time at most."""
+# Stretches of time that a sentence lists.
+LISTED_STRETCHES = 4
+
+
+def timing_text(timing: MisfitTiming | None) -> str:
+    """When most of the misfit happens."""
     if timing is None:
         return "nowhere above the noise"
     if not timing.stretches:
         return "throughout the records"
-    shown = ", ".join(f"{start:.4g} to {end:.4g} s of {name}" for name, start, end in timing.stretches[:listed])
-    rest = len(timing.stretches) - listed
+    shown = ", ".join(
+        f"{start:.4g} to {end:.4g} s of {name}" for name, start, end in timing.stretches[:LISTED_STRETCHES]
+    )
+    rest = len(timing.stretches) - LISTED_STRETCHES
     more = f" and {rest} more stretches" if rest > 0 else ""
     return f"{100 * timing.share:.0f} % of it in {100 * timing.time_share:.0f} % of the time: {shown}{more}"
 

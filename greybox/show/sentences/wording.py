@@ -144,9 +144,9 @@ def make_formatter(value: float, std: float) -> Callable[[float], str]:
     return scientific
 
 
-def plain_number(value: float, digits: int = 3) -> str:
-    """So many digits, whole numbers in full up to a million: ``1320``, ``0.754``."""
-    return f"{value:.0f}" if 10**digits <= abs(value) < 1e6 else f"{value:.{digits}g}"
+def plain_number(value: float) -> str:
+    """Three digits, whole numbers in full up to a million: ``1320``, ``0.754``."""
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
 def ratio_text(misfit: Misfit) -> str:
@@ -169,9 +169,9 @@ def shorten(name: str, width: int) -> str:
     return name if len(name) <= width else f"{name[: width - 3]}..."
 
 
-def format_shares(shares: Mapping[str, float], digits: int = 2) -> str:
+def format_shares(shares: Mapping[str, float]) -> str:
     """``2 % of x, 0.5 % of i`` from shares of one."""
-    return ", ".join(f"{100 * share:.{digits}g} % of {name}" for name, share in shares.items())
+    return ", ".join(f"{100 * share:.2g} % of {name}" for name, share in shares.items())
 
 
 # What sentences leave out.
