@@ -121,7 +121,8 @@ def list_keys(kind: Any) -> tuple[Key, ...]:
     keys: list[Key] = []
     for word in getattr(kind, "KEYS", "*").split():
         if word == "*":
-            keys += (Key(name, (name,)) for name in _list_fields(kind))
+            names = _hints(kind) if is_typeddict(kind) else [field.name for field in fields(kind)]
+            keys += (Key(name, (name,)) for name in names)
             continue
         if word.endswith(".*"):
             field = word.removesuffix(".*")
@@ -467,10 +468,6 @@ def _follow(kind: Any, path: Sequence[str]) -> Iterator[_Attribute]:
 @cache
 def _hints(kind: Any) -> Mapping[str, Any]:
     return get_type_hints(kind, include_extras=True)
-
-
-def _list_fields(kind: Any) -> tuple[str, ...]:
-    return tuple(_hints(kind)) if is_typeddict(kind) else tuple(field.name for field in fields(kind))
 
 
 def _strip(hint: Any) -> tuple[Any, tuple[Any, ...]]:

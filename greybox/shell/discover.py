@@ -54,7 +54,9 @@ def discover(study: Study) -> Answer:
     Exit code 0: there is a verdict. 2: bad input, nothing was written. 130: interrupted.
     """
     from greybox.base.parallel.jobs import open_workers
+    from greybox.discovery.candidates import family_of
     from greybox.discovery.pipeline import discover as discover_effects
+    from greybox.model.effects.catalogue import effect
     from greybox.shell.own_effects import find_effect, find_own_effects
 
     model = inputs.constrain(inputs.build_model(study), study)
@@ -66,6 +68,7 @@ def discover(study: Study) -> Answer:
     inputs.print_record_notes(records, validation, quiet, test, loss=study.loss)
     inputs.check_skip(study, [*validation, *test])
     only_laws = study.candidates == (NO_EFFECTS,)
+    relatives = [name for listed in study.without_family for name in family_of(effect(listed).name)]
     candidates = () if only_laws else [find_effect(name) for name in study.candidates] or None
     project_effects = () if only_laws or candidates else find_own_effects()
     journal = folder / "journal.jsonl"
@@ -81,7 +84,7 @@ def discover(study: Study) -> Answer:
                 noise=dict(study.noise),
                 quiet=quiet,
                 effects=candidates,
-                without=_left_out(study),
+                without=(*study.without, *relatives),
                 further=study.further,
                 options=inputs.fit_options(study),
                 on_message=say,
@@ -112,15 +115,6 @@ def _next(study: Study, result: Discovery, further: Path) -> NextCommand:
     if further.suffix != ".py":
         return study.then("changed", further, *study.validation, holds=IN_RESULT)
     return study.then("fit", further, *study.estimation, holds=IN_MODEL)
-
-
-def _left_out(study: Study) -> tuple[str, ...]:
-    """The effects that are not tried, by name and by family. Raises GreyboxError for an unknown name."""
-    from greybox.discovery.candidates import family_of
-    from greybox.model.effects.catalogue import effect
-
-    relatives = [name for listed in study.without_family for name in family_of(effect(listed).name)]
-    return (*study.without, *relatives)
 
 
 def _answer(result: Discovery, files: list[Path], following: NextCommand) -> Answer:

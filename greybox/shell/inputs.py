@@ -32,7 +32,10 @@ def build_model(study: Study) -> Model:
     if kind is not None and (objection := Idle(kind.unused, kind.closed).objection(study)):
         raise GreyboxError(objection)
     model = _apply_schedules(find_plain_model(study), study)
-    model = _apply_process_noise(add_effects(model, study.effects), study.process_noise)
+    model = add_effects(model, study.effects)
+    if study.process_noise:
+        known = {state: value for state, value in study.process_noise.items() if value is not None}
+        model = model.with_process_noise(*(state for state in study.process_noise if state not in known), **known)
     model = model.with_parts(has=study.has, lacks=study.lacks)
     return kind.set_parameters(model, study) if kind else set_parameters(model, study)
 
@@ -112,12 +115,6 @@ def set_parameters(model: Model, study: Study) -> Model:
     waiting = list_untailored_delays(model) if study.estimation else ()
     start, known = ({n: v for n, v in values.items() if n not in waiting} for values in (study.start, known))
     return model.start(**start).fix(*as_declared, **known)
-
-
-def _apply_process_noise(model: Model, process_noise: Mapping[str, float | None]) -> Model:
-    known = {state: value for state, value in process_noise.items() if value is not None}
-    estimated = [state for state, value in process_noise.items() if value is None]
-    return model.with_process_noise(*estimated, **known) if process_noise else model
 
 
 def _apply_schedules(model: Model, study: Study) -> Model:

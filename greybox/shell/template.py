@@ -118,11 +118,8 @@ def _template_files() -> dict[Path, Path]:
     """Path inside a project -> file of the template; what a run left behind does not count."""
     root = template_root()
     files = [path for folder in FOLDERS for path in sorted((root / folder).rglob("*")) if path.is_file()]
-    inside = {path.relative_to(root): path for path in files}
-    return {name: path for name, path in inside.items() if _belongs(name)}
-
-
-def _belongs(name: Path) -> bool:
-    if "__pycache__" in name.parts or name.suffix == ".pyc":
-        return False
-    return name.parts[0] != "fits" or name.parts[1:] in [(study,) for study in STUDIES]
+    inside = {
+        path.relative_to(root): path for path in files if "__pycache__" not in path.parts and path.suffix != ".pyc"
+    }
+    chosen = [Path("fits", study) for study in STUDIES]
+    return {name: path for name, path in inside.items() if name.parts[0] != "fits" or name in chosen}

@@ -288,16 +288,11 @@ def _value(name: str, message: str, typed: Sequence[str]) -> str:
     if choice:
         known = re.findall("'(.*?)'", choice[2])
         return f"{name} {choice[1]}: there is no such choice; {nearest(choice[1], known)}"
-    value = _given(name, typed)
+    values = [word.partition("=")[2] for word in typed if word.startswith(f"{name}=")]
+    values += [after for word, after in pairwise(typed) if word == name]
+    value = values[-1] if values else "(not given)"
     for pattern, remedy in NUMBERS:
         match = pattern.search(message)
         if match:
             return f"{name} {value}: {remedy.format(*filter(None, match.groups()))}"
     return f"{name} {value}: {message[:1].lower()}{message[1:].rstrip('.')}"
-
-
-def _given(name: str, typed: Sequence[str]) -> str:
-    """The value that was typed last for an option."""
-    values = [word.partition("=")[2] for word in typed if word.startswith(f"{name}=")]
-    values += [after for word, after in pairwise(typed) if word == name]
-    return values[-1] if values else "(not given)"

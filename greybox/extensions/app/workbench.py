@@ -72,6 +72,7 @@ def show_session(session: Session, places: Sequence[EffectPlace] = ()) -> dict[s
                 "logarithmic": reach.logarithmic,
             }
         )
+    known = dict.fromkeys(model.lacks, "lacks") | dict.fromkeys(model.has, "has")
     return {
         "model": model.name,
         "title": model.title,
@@ -82,7 +83,7 @@ def show_session(session: Session, places: Sequence[EffectPlace] = ()) -> dict[s
             {"name": b.effect.name, "site": b.site, "equation": b.effect.equation} for b in model.bound_effects
         ],
         "catalogue": [{"name": e.name, "site": site, "equation": e.equation} for e, site in places],
-        "parts": [{"name": p.name, "meaning": p.meaning, "known": _known_of(model, p.name)} for p in PARTS],
+        "parts": [{"name": p.name, "meaning": p.meaning, "known": known.get(p.name, "")} for p in PARTS],
         "records": [
             {
                 "name": r.experiment.name,
@@ -102,11 +103,6 @@ def show_session(session: Session, places: Sequence[EffectPlace] = ()) -> dict[s
             "asked": next((f.subject for f in session.discovery.next_steps if f.code == DiscoveryCode.ASK_PART), ""),
         },
     }
-
-
-def _known_of(model: Model, part: str) -> str:
-    """What is said of a part: ``has``, ``lacks``, or nothing."""
-    return "has" if part in model.has else "lacks" if part in model.lacks else ""
 
 
 def show_choice(columns: Sequence[str], choices: Sequence[ColumnChoice]) -> dict[str, Any]:

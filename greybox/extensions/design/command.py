@@ -91,6 +91,7 @@ def design(study: DesignStudy) -> Answer:
         options=_options(study) if study.at_rest else None,  # None: those of the fit
     )
     written = result.save(folder)
+    planned = study.model or (result.model.name if study.source.endswith(".json") else study.source)
     return Answer(
         result,
         lambda _: format_json(to_json_data(result)),
@@ -99,16 +100,10 @@ def design(study: DesignStudy) -> Answer:
         kept=f"the design is in {written}",
         next=study.then(
             "simulate",
-            *(_model_of(study, result), folder / "input.csv", *_set(result), "--output", "planned.csv"),
+            *(planned, folder / "input.csv", *_set(result), "--output", "planned.csv"),
             holds=(*IN_RESULT, *IN_RECORD),
         ),
     )
-
-
-def _model_of(study: Study, result: Design) -> str:
-    """The name or file of the model of a design."""
-    source = study.source
-    return study.model or (result.model.name if source.endswith(".json") else source)
 
 
 def _set(result: Design) -> list[str]:

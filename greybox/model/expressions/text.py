@@ -74,7 +74,10 @@ class TextDialect(Dialect[Sum]):
         if row is None or not row.text:
             return (_atom(f"{operation_name(code)}({', '.join(texts)})"),)
         if row.logical:
-            return (_atom(_relation(row, [_operand(operand) for operand in operands])),)
+            one, *other = [_operand(operand) for operand in operands]
+            # CasADi turns ``x > 0`` into ``0 < x``: turned back.
+            turned = row.name in MIRRORED and NUMBER.fullmatch(one)
+            return (_atom(f"({other[0]} {MIRRORED[row.name]} {one})" if turned else row.text.format(one, *other)),)
         return (_atom(row.text.format(*texts)),)
 
 
@@ -214,13 +217,6 @@ def _is_log10(node: ca.SX) -> bool:
 def _operand(value: Sum) -> str:
     """Beside a comparison, ``and`` or ``not``: brackets stay around a comparison, a sum needs none."""
     return _product_text(value[0]) if len(value) == 1 and not value[0].negative else _sum_text(value)
-
-
-def _relation(row: Operation, operands: Sequence[str]) -> str:
-    """A comparison, ``and``, ``or`` or ``not``; CasADi turns ``x > 0`` into ``0 < x``, which is turned back."""
-    if row.name in MIRRORED and NUMBER.fullmatch(operands[0]):
-        return f"({operands[1]} {MIRRORED[row.name]} {operands[0]})"
-    return row.text.format(*operands)
 
 
 def _bare(text: str) -> str:

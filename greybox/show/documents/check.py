@@ -11,7 +11,6 @@ from greybox.base.document import Document, Later, TableBlock
 from greybox.data.experiment import collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.estimation.check import ModelCheck
-from greybox.estimation.identifiability.practical import ExpectedPrecision
 from greybox.model import equations_text
 from greybox.model.parts import PARTS
 from greybox.show.documents import tables
@@ -167,17 +166,14 @@ def _precision(check: ModelCheck) -> Iterator[doc.Block]:
 
 
 def _precision_table(check: ModelCheck) -> doc.TableBlock:
+    rows = []
+    for name, c in check.constants.items():
+        share = f" ({percent_text(c.std / abs(c.value), 2)})" if c.std is not None and c.value else ""
+        std = "" if c.std is None else f"{format_number(c.std, 2)}{share}"
+        remark = "not determined" if c.std is None or not c.determined else "only by averaging" if c.averaged else ""
+        rows.append([name, format_number(c.value), std, c.unit, remark])
     caption = "Expected standard deviations of a fit near the start values, if the model is right"
-    rows = [[name, *_expected(c)] for name, c in check.constants.items()]
     return doc.TableBlock(caption, ["parameter", "start value", "expected std", "unit", doc.REMARK], rows)
-
-
-def _expected(c: ExpectedPrecision) -> list[str]:
-    if c.std is None:
-        return [format_number(c.value), "", c.unit, "not determined"]
-    share = f" ({percent_text(c.std / abs(c.value), 2)})" if c.value else ""
-    remark = "not determined" if not c.determined else "only by averaging" if c.averaged else ""
-    return [format_number(c.value), f"{format_number(c.std, 2)}{share}", c.unit, remark]
 
 
 def _combinations(check: ModelCheck) -> Iterator[doc.Facts]:

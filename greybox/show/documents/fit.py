@@ -254,7 +254,11 @@ def _parameters(fit: Fit, further: Iterable[tuple[str, doc.Block]]) -> Iterator[
         yield doc.BulletList(list(dict.fromkeys(sentences(recommendations))))
     several = [d for f in fit.findings if len(d := f.values.get("directions", ())) > 1]
     if several:
-        lines = [_list_weights(direction) for directions in several for direction in directions]
+        lines = [
+            ", ".join(f"{name} by {format_number(weight, 3)}" for name, weight in direction.items())
+            for directions in several
+            for direction in directions
+        ]
         yield doc.Details("Relative changes that leave the outputs as they are", [doc.BulletList(lines)])
     intervals = figures.plot_intervals(
         figures.relative_half_widths(fit), "Half width of each 95 % interval: smaller is better."
@@ -267,11 +271,6 @@ def _parameters(fit: Fit, further: Iterable[tuple[str, doc.Block]]) -> Iterator[
         if pairs:
             yield doc.BulletList(pairs)
         yield doc.Details("Correlation of the fitted parameters", [doc.FigureBlock(correlation)])
-
-
-def _list_weights(direction: Mapping[str, float]) -> str:
-    """``a by 1, b by -0.5``."""
-    return ", ".join(f"{name} by {format_number(weight, 3)}" for name, weight in direction.items())
 
 
 def _priors(fit: Fit) -> Iterator[doc.TableBlock]:
@@ -292,17 +291,12 @@ def _priors(fit: Fit) -> Iterator[doc.TableBlock]:
 def _starts(fit: Fit) -> Iterator[doc.Block]:
     """Where each start ended, best first: the waterfall, and its numbers."""
     yield doc.FigureBlock(figures.plot_starts(fit.starts))
-    names = list(fit.starts[0].start)
-    rows = [
-        [str(k + 1), plain_number(s.noise_ratio), s.status.replace("_", " "), *(_from_to(s, name) for name in names)]
-        for k, s in enumerate(fit.starts)
-    ]
+    names, rows = list(fit.starts[0].start), []
+    for k, s in enumerate(fit.starts):
+        ends = (f" -> {s.values[name]:.3g}" if name in s.values else "" for name in names)
+        ways = [f"{s.start[name]:.3g}{end}" for name, end in zip(names, ends, strict=True)]
+        rows.append([str(k + 1), plain_number(s.noise_ratio), s.status.replace("_", " "), *ways])
     yield doc.TableBlock("Start and end of each search", ["start", "misfit / noise", "ended", *names], rows)
-
-
-def _from_to(start: result_parts.StartResult, name: str) -> str:
-    end = start.values.get(name)
-    return f"{start.start[name]:.3g}" + ("" if end is None else f" -> {end:.3g}")
 
 
 def _interval_kind(fit: Fit) -> str:

@@ -178,7 +178,12 @@ def _draw(axes: Axes, series: fig.Series, panel: fig.Panel) -> None:
             colour, width = _colour(series.role), LINE_WIDTH * series.width
             draw(series.value, color=colour, lw=width, ls=LINES[series.dash], label=series.label or None)
         case fig.Heatmap():
-            _draw_heatmap(axes, series)
+            ends = [_colour(fig.Role.RESIDUAL), "white", _colour(fig.Role.SIMULATED)]
+            axes.imshow(series.values, cmap=LinearSegmentedColormap.from_list("correlation", ends), vmin=-1, vmax=1)
+            axes.set_xticks(range(len(series.names)), series.names)
+            for (row, column), value in np.ndenumerate(series.values):
+                if np.isfinite(value):
+                    axes.text(column, row, write_cell(value), ha="center", va="center", fontsize=NUMBER_SIZE)
 
 
 def _draw_curve(axes: Axes, curve: fig.Curve) -> None:
@@ -225,15 +230,6 @@ def _draw_bars(axes: Axes, bars: fig.Bars, panel: fig.Panel) -> None:
         axes.bar(places, bars.lengths, width=bars.width, color=colours)
     for place, length, text in zip(places, bars.lengths, bars.texts, strict=False):
         axes.annotate(f"  {text}", (np.nan_to_num(length), place), va="center", fontsize=NUMBER_SIZE)
-
-
-def _draw_heatmap(axes: Axes, heatmap: fig.Heatmap) -> None:
-    ends = [_colour(fig.Role.RESIDUAL), "white", _colour(fig.Role.SIMULATED)]
-    axes.imshow(heatmap.values, cmap=LinearSegmentedColormap.from_list("correlation", ends), vmin=-1, vmax=1)
-    axes.set_xticks(range(len(heatmap.names)), heatmap.names)
-    for (row, column), value in np.ndenumerate(heatmap.values):
-        if np.isfinite(value):
-            axes.text(column, row, write_cell(value), ha="center", va="center", fontsize=NUMBER_SIZE)
 
 
 def _places(values: np.ndarray | Sequence[str], names: Sequence[str]) -> np.ndarray:

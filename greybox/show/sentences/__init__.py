@@ -136,33 +136,27 @@ def find_writer(value: Any) -> Writer:
 @cache
 def _load_for(kind: type) -> None:
     """Import the modules that serve the package of ``kind``, if there are any: printing one result should not load the whole library."""
-    for module in _sentences_of(kind.__module__):
-        import_module(module)
-
-
-def _sentences_of(module: str) -> list[str]:
-    """``greybox.estimation.linear.sampling`` -> the modules ``estimation`` and ``linear`` here; an extension has its own ``document``."""
+    module = kind.__module__
     if module.startswith("greybox.") and not module.startswith(f"{EXTENSIONS}."):
-        return [f"{__package__}.{part}" for part in module.split(".") if part in _modules()]
-    package = module.rpartition(".")[0]
-    beside = f"{package}.document"
-    return [beside] if package and find_spec(beside) is not None else []
+        # ``greybox.estimation.linear.sampling``: the modules ``estimation`` and ``linear`` here.
+        for part in module.split("."):
+            if part in _modules():
+                import_module(f"{__package__}.{part}")
+    # An extension has a module ``document`` beside its classes.
+    elif (package := module.rpartition(".")[0]) and find_spec(f"{package}.document") is not None:
+        import_module(f"{package}.document")
 
 
 @cache
 def _load_all() -> None:
     """Import every module of this package and those of the extensions; each registers what it holds."""
-    for module in (*(f"{__package__}.{name}" for name in _modules()), *_own_sentences()):
-        import_module(module)
+    for name in _modules():
+        import_module(f"{__package__}.{name}")
+    for extension in pkgutil.iter_modules(import_module(EXTENSIONS).__path__):
+        if find_spec(beside := f"{EXTENSIONS}.{extension.name}.document") is not None:
+            import_module(beside)
 
 
 @cache
 def _modules() -> tuple[str, ...]:
     return tuple(module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)]))
-
-
-@cache
-def _own_sentences() -> tuple[str, ...]:
-    beside = import_module(EXTENSIONS).__path__
-    names = [f"{EXTENSIONS}.{module.name}.document" for module in pkgutil.iter_modules(beside)]
-    return tuple(name for name in names if find_spec(name) is not None)
