@@ -19,6 +19,7 @@ from greybox.shell.study import (
     Idle,
     NextCommand,
     Study,
+    find_plant_kind,
 )
 from greybox.shell.terminal import write_report
 
@@ -61,7 +62,7 @@ def check(study: Study) -> Answer:
 def is_record(study: Study) -> bool:
     """Whether a file that records are read from stands in the place of the model."""
     from greybox.data.file_kinds import NO_TABLES, record_suffixes
-    from greybox.shell.project import find_plant_kind, list_models
+    from greybox.shell.project import list_models
 
     path = Path(study.model)
     if path.suffix.lower() in record_suffixes():

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from greybox.shell.project import PlantKind
-from greybox.shell.study import Study
+from greybox.shell.study import PlantKind, Study
 
 if TYPE_CHECKING:
     from greybox.simulation.plant import PlantModel

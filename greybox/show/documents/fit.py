@@ -294,8 +294,8 @@ def _starts(fit: Fit) -> Iterator[doc.Block]:
     names, rows = list(fit.starts[0].start), []
     for k, s in enumerate(fit.starts):
         ends = (f" -> {s.values[name]:.3g}" if name in s.values else "" for name in names)
-        ways = [f"{s.start[name]:.3g}{end}" for name, end in zip(names, ends, strict=True)]
-        rows.append([str(k + 1), plain_number(s.noise_ratio), s.status.replace("_", " "), *ways])
+        moves = [f"{s.start[name]:.3g}{end}" for name, end in zip(names, ends, strict=True)]
+        rows.append([str(k + 1), plain_number(s.noise_ratio), s.status.replace("_", " "), *moves])
     yield doc.TableBlock("Start and end of each search", ["start", "misfit / noise", "ended", *names], rows)
 
 
