@@ -68,10 +68,12 @@ def robot(study: RobotStudy) -> Answer:
     plant = read_plant(study.source)
     folder = inputs.result_folder(study, plant.name)
     logs = read_joint_logs(plant, study.estimation, **{"split": study.split_holes, **inputs.layout_of(study)})
-    # Few robots measure velocities; that an axis has no torque is said of the axis.
+    # Few robots measure velocities; what has no torque is said of the axis; a coarse encoder stands still where its joint turns back.
+    silent = {RecordCode.OUTPUT_NOT_MEASURED, RecordCode.OUTPUT_CONSTANT}
+    notes = [[f for f in log.findings if (f.code, f.subject[:1]) != (RecordCode.SENSOR_SATURATED, "q")] for log in logs]
     inputs.print_record_notes(
-        replace(log, findings=tuple(f for f in log.findings if f.code != RecordCode.OUTPUT_NOT_MEASURED))
-        for log in logs
+        replace(log, findings=tuple(f for f in each if f.code not in silent))
+        for log, each in zip(logs, notes, strict=True)
     )
     identified = identify_robot(
         plant.robot,

@@ -242,7 +242,12 @@ CLOSING = ("connect", "weld", "tendon", "flex", "flexvert", "flexstrain")
 # What changes masses, bodies or torques and is not read: element -> attributes, where they state something else than these.
 NOT_READ: dict[str, tuple[str, ...]] = {
     "compiler": ("inertiafromgeom", "settotalmass", "boundmass", "boundinertia", "balanceinertia", "coordinate"),
-    **{"option": ("density", "viscosity"), "flag": ("gravity",), "body": ("gravcomp",), "joint": ("stiffness",)},
+    **{
+        "option": ("density", "viscosity"),
+        "flag": ("gravity",),
+        "body": ("gravcomp",),
+        "joint": ("stiffness", "springdamper"),
+    },
     **dict.fromkeys(("fixed", "spatial"), ("stiffness", "damping", "frictionloss")),
 }
 # What is stated where there is none of it.

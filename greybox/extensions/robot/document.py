@@ -62,10 +62,12 @@ def _answer(identified: RobotIdentification) -> str:
     return f"{identified.robot}: {lacks}; {rigid[identified.verdict]}; {carried} of {len(identified.base)} base parameters are carried."
 
 
-def _joint_table(identified: RobotIdentification) -> doc.TableBlock:
+def _joint_table(identified: RobotIdentification, *, with_sizes: bool = True) -> doc.TableBlock:
     rows = []
     for joint in identified.joints:
-        effects = [_say_effect(e) for e in identified.effects if e.joint == joint.joint]
+        effects = [
+            _say_effect(e) if with_sizes else WORDS[e.kind] for e in identified.effects if e.joint == joint.joint
+        ]
         cells = (format_number(v, 3) for v in (joint.torque, joint.rigid, joint.final))
         rows.append([joint.joint, *cells, ", ".join(effects) or "nothing"])
     head = ["joint", "torque rms", "rigid leaves", "left", doc.REMARK]
@@ -119,7 +121,8 @@ def _effect_table(identified: RobotIdentification) -> doc.TableBlock:
 
 
 def _sections(identified: RobotIdentification, command: str) -> Iterator[doc.Section]:
-    tables = [_joint_table(identified), *[_effect_table(identified)] * bool(identified.effects)]
+    # The page has their sizes in a table of their own.
+    tables = [_joint_table(identified, with_sizes=False), *[_effect_table(identified)] * bool(identified.effects)]
     yield doc.Section("joints", "Joint by joint", [*tables, *_constant_tables(identified)])
     yield doc.Section(
         "base", "Base parameters", [doc.FigureBlock(plot_base_parameters(identified)), _base_table(identified)]

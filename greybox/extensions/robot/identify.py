@@ -79,7 +79,8 @@ USUAL = (VISCOUS, COULOMB, OFFSET)
 # A constant is open where half its interval is wider than this share of the largest one of its kind on the link.
 OPEN_SHARE = 0.5
 # Share of the rms of a torque that is left, from which it may not be that of its joint; and from which it is not, where what is left is
-# smooth: its differences have less than this share of the squares of those of noise.
+# smooth: its differences have less than this share of the squares of those of noise. Of 27 logs of three arms that set none of them, each
+# with a sign, a zero or an order that is wrong, or noise on one torque: no wrong payload, one wrong effect as certain; 25 are warned of or named.
 STRANGE_SHARE, LOST_SHARE, ROUGH = 0.25, 0.5, 0.1
 # Rows on which the noise of the sensors is added again.
 SHAKEN_ROWS = 5000

@@ -201,7 +201,7 @@ def cell(text: str, head: str = "") -> str:
     if isinstance(text, FileLink):
         return Markup('<a href="{}">{}</a>').format(quote(text), text)
     if head == "unit":
-        return raise_powers(text)
+        return raise_powers(text).replace(" ", "\N{NO-BREAK SPACE}")
     if text == "-":
         return "–"
     number = UNIT_AT_END.sub(

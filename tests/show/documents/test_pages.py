@@ -97,7 +97,7 @@ def test_the_verdict_of_a_good_fit_comes_first_and_in_plain_words(good: gb.Fit) 
     html = render_page(page)
     for text in (
         "40 of x",
-        "N s/m",
+        "N\N{NO-BREAK SPACE}s/m",
         "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}",
         "greybox fit micro_actuator bench.csv",
         good.traces[0].fingerprint[:12],
