@@ -79,8 +79,8 @@ USUAL = (VISCOUS, COULOMB, OFFSET)
 # A constant is open where half its interval is wider than this share of the largest one of its kind on the link.
 OPEN_SHARE = 0.5
 # Share of the rms of a torque that is left, from which it may not be that of its joint; and from which it is not, where what is left is
-# smooth: its differences have less than this share of the squares of those of noise. Of 27 logs of three arms that set none of them, each
-# with a sign, a zero or an order that is wrong, or noise on one torque: no wrong payload, one wrong effect as certain; 25 are warned of or named.
+# smooth: its differences have less than this share of the squares of those of noise. Of 28 logs of three arms that set none of them, each
+# with a sign, a zero or an order that is wrong, or noise on one torque: no wrong payload, one wrong effect as certain.
 STRANGE_SHARE, LOST_SHARE, ROUGH = 0.25, 0.5, 0.1
 # Rows on which the noise of the sensors is added again.
 SHAKEN_ROWS = 5000
@@ -191,12 +191,14 @@ def identify_robot(
     verdict, payload, further, inertias, level = answer.compare_with_description()
     answer = replace(answer, level=level)
     constants, joints = tuple(answer.list_constants()), answer.measure_joints()
-    strange = [j.joint for j in joints if j.final > STRANGE_SHARE * j.torque]
     left = torques[0] - torques[2]
     # Of white noise the differences have twice its squares (von Neumann, Annals of Mathematical Statistics 12, 1941).
     roughness = np.nansum(np.diff(left, axis=0) ** 2, axis=0) / np.maximum(2 * np.nansum(left**2, axis=0), 1e-300)
     rough = {j.name: r for j, r in zip(base.robot.axes, roughness, strict=True)}
     lost = [j.joint for j in joints if j.final > LOST_SHARE * j.torque and rough[j.joint] < ROUGH]
+    # A small torque that is followed to the noise of its sensor is no other one.
+    shares = {j.joint: LOST_SHARE if rough[j.joint] > ROUGH else STRANGE_SHARE for j in joints}
+    strange = [j.joint for j in joints if j.final > shares[j.joint] * j.torque]
     # Of a torque that is lost nothing is certain, and it takes part in what is said of the rigid bodies; gains compare all joints.
     effects = [
         replace(e, grade=Grade.PROBABLE) if e.joint in (*lost, *guessed) or (strange and e.kind == GAIN.name) else e

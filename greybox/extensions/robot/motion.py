@@ -37,7 +37,7 @@ RESTING_DEVIATIONS, RESTING_SHARE = 4.0, 0.02
 # ... or than this, in rad/s or m/s: nothing on Earth moves so slowly on purpose.
 RESTING_SPEED = 1e-6
 # A velocity that is so many times the slope of its position, or as many times smaller, is in another unit, or of another joint.
-# Of 24 joint logs that did not set it, behind filters of 3 to 50 Hz with noise up to their rms: 0 of 120 right ones are refused and 0 of 120 of
+# Of 24 logs that did not set it, behind filters of 3 to 50 Hz with noise up to their rms: 0 of 120 right ones are refused and 0 of 120 of
 # joints that stand; degrees and other signs 240 of 240; those of another joint 112 of 120, the others are too noisy to be used.
 SAME_SPEED = 2.0
 # Counts by which a reading moves at once, from which it is not the next count of a slow motion; and share of such moves behind which it
