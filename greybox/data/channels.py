@@ -149,7 +149,8 @@ class ChannelTable:
         for signal, column in match.columns.items():
             if signal.kind is SignalKind.TIME:
                 continue
-            course: Hold = "first"
+            stated = named.get(signal.name, common)
+            course: Hold = "mean" if stated == "mean" and signal.kind is SignalKind.OUTPUT else "first"
             if signal.kind is SignalKind.INPUT:
                 k, channel = column.position - 1, self.channels[column.position - 1]
                 course = named.get(signal.name, "zero" if channel.stepwise or channel.holds else common)

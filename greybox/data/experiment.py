@@ -56,7 +56,9 @@ class Experiment(Printable):
         to it (the input itself is a measured, smooth signal), ``"band-limited"`` has no content above half the sampling rate (a
         smooth signal behind an anti-alias filter), ``"auto"`` is first for an input whose values are smooth and carry the noise of a
         sensor, else zero. Or input -> one of these, where inputs move differently; those that are not named are ``"auto"``. What is
-        kept is one course for all inputs, else the course of each.
+        kept is one course for all inputs, else the course of each. ``"mean"`` says that every value, of the outputs too, is the mean over
+        the interval that ends at its row (a meter, a logger of energy or weather); stamps at the beginning of each interval change
+        nothing then but the clock. Where only some signals are means, a mapping names them; of the outputs all or none.
     source
         The file that it came from.
     conditions
@@ -112,7 +114,10 @@ class Experiment(Printable):
     """What results say of a record; its data are in its own file."""
 
     def __post_init__(self) -> None:
-        problems = find_hold_problems(self.hold, self.inputs)
+        named = self.hold.items() if isinstance(self.hold, Mapping) else ()
+        means: dict[str, Hold] = {n: "mean" for n, course in named if course == "mean" and n not in self.inputs}
+        # A record whose outputs were left out keeps when they are read.
+        problems = find_hold_problems(self.hold, self.inputs, self.outputs or means)
         raise_problems(f"experiment {self.name!r}", problems)
         time = _to_read_only("time", self.time, problems)
         rows = None if problems else len(time)
@@ -135,11 +140,20 @@ class Experiment(Printable):
         before, ages = _look_back(self.before, self.before_ages, time, inputs, problems)
         raise_problems(f"experiment {self.name!r}", problems)
         courses = choose_courses(self.hold, inputs)
-        alike = len(set(courses.values())) == 1
+        kinds = {*courses.values(), *means.values()}
+        # One "mean" for all says it of the outputs too.
+        alike = len(kinds) == 1 and (kinds != {"mean"} or self.hold == "mean" or bool(means))
+        courses |= means
         values = {
             "time": time,
             "inputs": MappingProxyType(inputs),
-            "hold": next(iter(courses.values())) if alike else MappingProxyType(courses) if courses else "zero",
+            "hold": kinds.pop()
+            if alike
+            else MappingProxyType(courses)
+            if courses
+            else "mean"
+            if self.hold == "mean"
+            else "zero",
             "outputs": MappingProxyType(outputs),
             "conditions": MappingProxyType({n: float(v) for n, v in self.conditions.items()}),
             "findings": tuple(self.findings),
@@ -212,14 +226,23 @@ class Experiment(Printable):
     @property
     def courses(self) -> Mapping[str, Hold]:
         """Input -> how it moves between samples."""
-        return self.hold if isinstance(self.hold, Mapping) else dict.fromkeys(self.inputs, self.hold)
+        return (
+            {n: self.hold[n] for n in self.inputs}
+            if isinstance(self.hold, Mapping)
+            else dict.fromkeys(self.inputs, self.hold)
+        )
+
+    @property
+    def outputs_are_means(self) -> bool:
+        """Whether the outputs are means over the interval that ends at their row."""
+        return self.hold == "mean" or (isinstance(self.hold, Mapping) and any(n not in self.inputs for n in self.hold))
 
     @property
     def identity(self) -> tuple[Any, ...]:
         """What decides a run over the record: its data, the course of each input, what was before it, and its conditions."""
         past = tuple((name, values.tobytes()) for name, values in sorted(self.before.items()))
         courses, conditions = tuple(sorted(self.courses.items())), tuple(sorted(self.conditions.items()))
-        return self.fingerprint, courses, conditions, past, self.before_ages.tobytes()
+        return self.fingerprint, courses, self.outputs_are_means, conditions, past, self.before_ages.tobytes()
 
     @property
     def rows(self) -> int:
@@ -342,7 +365,8 @@ class Experiment(Printable):
     def with_hold(self, hold: Holds) -> Experiment:
         """The same record with another course of the inputs between samples, or of those that a mapping names."""
         if isinstance(hold, Mapping):
-            hold = {**self.courses, **hold}
+            means: dict[str, Hold] = dict.fromkeys(self.outputs if self.outputs_are_means else (), "mean")
+            hold = {**self.courses, **means, **hold}
         return _with_sampling_time(replace(self, hold=hold), self.sampling_time)
 
     def with_outputs(self, outputs: Mapping[str, np.ndarray]) -> Experiment:

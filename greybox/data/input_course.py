@@ -11,12 +11,14 @@ import numpy as np
 
 from greybox.base import nearest
 
-Hold = Literal["auto", "zero", "first", "band-limited"]
+Hold = Literal["auto", "zero", "first", "band-limited", "mean"]
 """``"zero"``: held until the next row (a computer drives it). ``"first"``: straight to the next row (a measured, smooth signal).
-``"band-limited"``: no content above half the sampling rate (a smooth signal behind an anti-alias filter). ``"auto"``: first where
-the values show a measured, smooth signal, else zero."""
+``"band-limited"``: no content above half the sampling rate (a smooth signal behind an anti-alias filter). ``"mean"``: the mean over
+the interval that ends at its row (a meter, a logger of energy or weather). ``"auto"``: first where the values show a measured, smooth
+signal, else zero."""
 Holds = Hold | Mapping[str, Hold]
-"""One course for all inputs, or input -> course; inputs that are not named are ``"auto"``."""
+"""One course for all inputs, or input -> course; inputs that are not named are ``"auto"``. ``"mean"`` for all says it of the outputs too,
+and a mapping may say it of outputs."""
 HOLDS: tuple[Hold, ...] = get_args(Hold)
 
 
@@ -105,15 +107,23 @@ def _find_white_floor(values: np.ndarray) -> float | None:
     return high if high / SAME_LEVEL < low < high * SAME_LEVEL else None
 
 
-def find_hold_problems(hold: Holds, inputs: Iterable[str]) -> list[str]:
-    """What is wrong with a ``hold`` for these ``inputs``."""
-    asked, inputs = hold if isinstance(hold, Mapping) else {"": hold}, list(inputs)
-    unknown = [n for n in asked if n and n not in inputs]
+def find_hold_problems(hold: Holds, inputs: Iterable[str], outputs: Iterable[str] = ()) -> list[str]:
+    """What is wrong with a ``hold`` for these ``inputs`` and ``outputs``."""
+    asked, inputs, outputs = hold if isinstance(hold, Mapping) else {"": hold}, list(inputs), list(outputs)
+    unknown = [n for n, course in asked.items() if n and n not in inputs and not (n in outputs and course == "mean")]
+    means = [n for n in outputs if asked.get(n) == "mean"]
     return [
         *(f"hold names {n!r}, which is no input; {nearest(n, inputs)}" for n in unknown),
         *(
+            f"hold says of output {n!r} that it is a mean, and nothing of {o!r}; one run compares all outputs of a record at one time: say"
+            " it of all of them"
+            for n in means[:1]
+            for o in [o for o in outputs if o not in means][:1]
+        ),
+        *(
             f"hold {course!r}{f' of {n!r}' if n else ''} is unknown; {nearest(str(course), HOLDS)}: 'zero' (held), 'first' (straight"
-            " between rows), 'band-limited' (no content above half the rate), 'auto' (as the values show)"
+            " between rows), 'band-limited' (no content above half the rate), 'mean' (over the interval before each row), 'auto' (as the"
+            " values show)"
             for n, course in asked.items()
             if course not in HOLDS
         ),

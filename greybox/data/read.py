@@ -312,8 +312,10 @@ def read_arrays(
     raise_problems(file.path.name, match.problems and (*match.problems, *match.unit_problems))
     named = {**(hold if isinstance(hold, Mapping) else {}), **(interpolation or {})}
     common: Hold = "auto" if isinstance(hold, Mapping) else hold
-    courses = {i.name: common for i in model.inputs} | named
-    raise_problems(file.path.name, find_hold_problems(courses, [i.name for i in model.inputs]))
+    inputs, outputs = [i.name for i in model.inputs], [o.name for o in model.outputs]
+    courses = dict.fromkeys(inputs + (outputs if common == "mean" else []), common) | named
+    problems = find_hold_problems(courses, inputs, outputs)
+    raise_problems(file.path.name, problems)
     if channels is not None:
         channels = channels.for_signals(match, common, named, sampling_time)
         courses |= {use.name: use.course for use in channels.uses.values() if use.kind is SignalKind.INPUT}

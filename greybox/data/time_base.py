@@ -86,6 +86,10 @@ def bring_to_one_base(
     first = next(iter(samples.values()))
     if step is None and all(s.time is first.time or np.array_equal(s.time, first.time) for s in samples.values()):
         return TimeBase(first.time, {k: s.values for k, s in samples.items()})
+    means = [repr(use.name) for use in uses.values() if use.course == "mean"]
+    if means:
+        refused = f"{', '.join(means)}: a mean belongs to an interval of its own clock, and these are brought to one; say held (zero)"
+        return TimeBase(np.zeros(0), {k: np.zeros(0) for k in samples}, problems=(refused,))
     fastest = _find_fastest(samples, uses)
     half_row = (_usual_step(samples[fastest].time) if step is None else step) / 2
     start, stop = _find_window(samples, uses, half_row)

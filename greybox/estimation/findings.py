@@ -354,19 +354,29 @@ def _find_other_courses(optimum: Optimum) -> list[Finding]:
     judged = []
     for other in optimum.other_courses:
         # An input that answers the reading of its row holds what only the next row could show: straight it would seem to foretell it.
-        if isinstance(optimum, PredictionOptimum) and any(_answers_same_row(optimum, n) for n in other.courses):
+        inputs = [i.name for i in optimum.model.inputs] if other.courses == "mean" else other.courses
+        if isinstance(optimum, PredictionOptimum) and any(_answers_same_row(optimum, n) for n in inputs):
             continue
         # What a residual above the noise leaves is noise to a comparison of two courses.
         squares = optimum.objective.squares
         left = 1.0 if squares is None else max(1.0, (optimum.evaluation.cost - max(other.gain, 0.0)) / squares)
         judged.append((other.gain / (left * inflation), other))
-    together = [(odds, other) for odds, other in judged if len(other.courses) > 1]
-    alone = [(odds, other) for odds, other in judged if len(other.courses) == 1]
+    means = [
+        (odds, other) for odds, other in judged if isinstance(other.courses, str) or "mean" in other.courses.values()
+    ]
+    between = [(odds, other) for odds, other in judged if (odds, other) not in means]
+    together = [(odds, other) for odds, other in between if len(other.courses) > 1]
+    alone = [(odds, other) for odds, other in between if len(other.courses) == 1]
     if together and together[0][0] > max(0.0, *(odds for odds, _ in alone)) + COURSE_CONFIRMED:
         alone = together
+    best = max(means, key=lambda pair: pair[0], default=None)
+    # Most records hold no means: that they do is said where neither course between the rows explains them as well.
+    if best and best[0] > max(COURSE_CONTRADICTED, *(odds + COURSE_CONFIRMED for odds, _ in alone), 0.0):
+        alone = [best]
     for odds, other in alone:
-        values: dict[str, Any] = {"courses": dict(other.courses), "odds": odds, "changes": {}}
-        subject = " and ".join(other.courses)
+        courses = {} if isinstance(other.courses, str) else dict(other.courses)
+        values: dict[str, Any] = {"courses": courses, "odds": odds, "changes": {}}
+        subject = " and ".join(courses)
         if other.change is None:
             result.append(Finding(EstimationCode.INPUT_COURSE_OPEN, Severity.WARNING, subject, values))
             continue

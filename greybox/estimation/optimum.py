@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from greybox.base import FitError
-from greybox.data.input_course import find_input_noise, is_open
+from greybox.data.input_course import Hold, Holds, find_input_noise, is_open
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance, estimate_covariance, estimate_likelihood_covariance
 from greybox.estimation.errors import compute_misfits
@@ -38,7 +38,9 @@ from greybox.estimation.transcription.problem import EstimationProblem, Runs, So
 from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.model import Model
 from greybox.simulation.kernel.record import Record
+from greybox.simulation.plant import PlantModel
 from greybox.simulation.plant_kernel import PlantKernel
+from greybox.simulation.records import to_record
 
 
 def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[Trace, ...]:
@@ -81,10 +83,10 @@ def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.
 
 @dataclass(frozen=True, eq=False)
 class OtherCourse:
-    """What other ``courses`` (input -> course) between the rows make of an optimum: the ``change`` of each free constant (nf,), and by
-    how much the cost is less; None where the run is joined from segments, which no step compares."""
+    """What other ``courses`` (input -> course) between the rows, or one for all signals, make of an optimum: the ``change`` of each free
+    constant (nf,), and by how much the cost is less; None where the run is joined from segments, which no step compares."""
 
-    courses: Mapping[str, str]
+    courses: Mapping[str, str] | str
     change: np.ndarray | None = None
     gain: float = 0.0
 
@@ -293,7 +295,23 @@ class Optimum(ABC):
                 result.append(OtherCourse({n: courses[n] for n in names}))
             elif seen := self._step_with(records, steps):
                 result.append(OtherCourse({n: courses[n] for n in names}, *seen))
+        # A meter writes means over the interval that ends at its row, which held from there on act late; a sensor beside it may not.
+        inputs: dict[str, Hold] = dict.fromkeys([i.name for i in problem.model.inputs], "mean")
+        for hold in ("mean", inputs) if inputs and self._can_compare and not self.solution.joined else ():
+            if (means := self._read_means(hold)) and (seen := self._step_with(means)):
+                result.append(OtherCourse(hold, *seen))
         return tuple(result)
+
+    def _read_means(self, hold: Holds) -> tuple[Record, ...] | None:
+        """The records if signals are means as ``hold`` says; None where that was told, or an effect says when an input acts."""
+        problem, model = self.problem, self.problem.model
+        is_told = any(b.effect.hold or b.effect.late for b in model.bound_effects) or isinstance(model, PlantModel)
+        if is_told or any(
+            not {*e.courses.values()} <= {"zero", "first"} or e.outputs_are_means for e in problem.experiments
+        ):
+            return None
+        pairs = zip(problem.experiments, problem.records, strict=True)
+        return tuple(replace(to_record(model, e.with_hold(hold)), spread=r.spread, log_std=r.log_std) for e, r in pairs)
 
     @cached_property
     def input_noise(self) -> InputNoise | None:

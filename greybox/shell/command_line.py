@@ -165,7 +165,7 @@ def _refuse_missing(ctx: click.Context, study: Study, required: list[Option[Any]
 
 def _write_study(ctx: click.Context, study: Study, target: Path, name: str, commands: Mapping[str, Command]) -> None:
     from greybox.shell.inputs import state_in_study
-    from greybox.shell.project import find_model
+    from greybox.shell.project import find_model, remember_program
     from greybox.show.sentences.shell import study_line
 
     idle = [option.flag for n, option in study.options.items() if not option.place and _typed(ctx, n)]
@@ -176,11 +176,12 @@ def _write_study(ctx: click.Context, study: Study, target: Path, name: str, comm
     holder = "source" if study.source and not study.source.endswith(".json") else "model"
     if (model := getattr(study, holder)) and holder not in study.from_file:
         study = study.but(definition=state_in_study(find_model(model), study))
+        remember_program(model)
     print_answer(study_line(write_study(study, target, name, commands), name))
 
 
 def confirm_model(study: Study, named_model: str | None = None) -> Study:
-    """``study`` with a model that may be run: a study file alone runs no program.
+    """``study`` with a model that may be run: a study file alone runs no program but one that this user named when a study was written.
 
     Parameters
     ----------
@@ -197,10 +198,10 @@ def confirm_model(study: Study, named_model: str | None = None) -> Study:
     Raises
     ------
     GreyboxError
-        If the file names a model file or a plant that runs code, or lies in a project other than that of the working folder, and the
-        user named no model; if a model is named twice.
+        If the file names a model file or a plant that runs code and is new or edited, or lies in a project other than that of the working
+        folder, and the user named no model; if a model is named twice.
     """
-    from greybox.shell.project import project_root, runs_code
+    from greybox.shell.project import is_remembered, project_root, runs_code
 
     # A command that starts from a result has an option for its model; where its source is a model, that option names the source.
     holder = "model"
@@ -215,10 +216,10 @@ def confirm_model(study: Study, named_model: str | None = None) -> Study:
         return study.but(**{holder: named_model}, from_file=study.from_file - {holder})
     # The file may hold both, and which of them a command takes is its own affair.
     for name in (getattr(study, field) for field in ("model", "source") if field in study.from_file):
-        if runs_code(name) and not (name == study.source and name.endswith(".json")):
+        if runs_code(name) and not (name == study.source and name.endswith(".json")) and not is_remembered(name):
             raise GreyboxError(
-                f"{study.file}: names the model file {name}, which is a program; a study alone runs none: if you trust it, run the"
-                f" command again with --model {to_word(name)}"
+                f"{study.file}: names the model file {name}, which is a program; a study alone runs none but one that was named here when a"
+                f" study was written and has not changed since: if you trust it, run the command again with --model {to_word(name)}"
             )
     if study.file is None or holder not in study.from_file:
         return study

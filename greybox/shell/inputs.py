@@ -49,33 +49,49 @@ def find_plain_model(study: Study, holder: str = "model") -> Model:
     ModelError
         Where there is no such model.
     """
-    from greybox.model.equations import compare_statements
     from greybox.shell.project import find_model
 
-    model, (equations, declared) = find_model(getattr(study, holder)), study.definition
-    if not equations:
-        return model
-    present, given = state_in_study(model, study), {f"value {n}" for n in (*study.fixed, *study.start, *study.free)}
-    stored = {key: line for key, line in declared.items() if key not in given}
-    if differences := compare_statements((equations, stored), present):
-        if holder in study.from_file:
-            lines = "".join(
-                f"\n  written for: {d.stored or '-'}\n  now:         {d.present or '-'}" for d in differences
-            )
-            raise DataError(
-                f"{study.file}: the model {model.title} is not the one that it was written for: write it again, give the model as it was,"
-                f" or insist on this one (--model {to_word(getattr(study, holder))}){lines}"
-            )
-        figures = {"lines": list(map(str, differences))}
-        print_findings([Finding(CommandCode.OTHER_MODEL_IN_STUDY, subject=str(study.file), values=figures)])
+    model = find_model(getattr(study, holder))
+    insist = "" if holder not in study.from_file else f"insist on this one (--model {to_word(getattr(study, holder))})"
+    if lines := hold_against(model, study.definition, _list_given(study), str(study.file), insist):
+        print_findings(
+            [Finding(CommandCode.OTHER_MODEL_IN_STUDY, subject=str(study.file), values={"lines": list(lines)})]
+        )
     return model
+
+
+def hold_against(
+    model: Model, stated: Statements, given: Iterable[str], written: str, insist: str = ""
+) -> tuple[str, ...]:
+    """What ``model`` states otherwise than it did when a study or a program was ``written``, but for constants that are ``given`` there.
+
+    Raises DataError with both lines of each, where it can be said how to ``insist`` on the model.
+    """
+    from greybox.model.equations import compare_statements, state_whole
+
+    equations, declared = stated
+    values = {f"value {name}" for name in given}
+    stored = {key: line for key, line in declared.items() if key not in values}
+    differences = compare_statements((equations, stored), state_whole(model, {*given})) if equations else ()
+    if differences and insist:
+        lines = "".join(f"\n  written for: {d.stored or '-'}\n  now:         {d.present or '-'}" for d in differences)
+        raise DataError(
+            f"{written}: the model {model.title} is not the one that it was written for: write it again, give the model as it was, or"
+            f" {insist}{lines}"
+        )
+    return tuple(map(str, differences))
 
 
 def state_in_study(model: Model, study: Study) -> Statements:
     """What a model states, with the values of the constants to which the study gives none."""
     from greybox.model.equations import state_whole
 
-    return state_whole(model, {*study.fixed, *study.start, *study.free})
+    return state_whole(model, _list_given(study))
+
+
+def _list_given(study: Study) -> set[str]:
+    """The constants to which a study gives values."""
+    return {*study.fixed, *study.start, *study.free}
 
 
 def add_effects(model: Model, names: Iterable[str]) -> Model:

@@ -16,9 +16,11 @@ from types import ModuleType
 from typing import TypeVar
 
 from greybox.base import ExtensionKind, GreyboxError, ModelError, Printable, load_extensions, nearest
+from greybox.base.files import is_output_of, list_foreign
 from greybox.data.file_kinds import record_suffixes
 from greybox.model import Model
 from greybox.shell.study import find_plant_kind
+from greybox.simulation.kernel.c_compiler import find_cache_folder
 from greybox.simulation.plant import as_model, is_plant
 
 # The folder of a project with effects of its own.
@@ -311,11 +313,8 @@ def find_model(name: str) -> Model:
         )
     if kind := find_plant_kind(name):
         return as_model(kind.read(name))
-    path, colon, wanted = name.rpartition(".py:")
-    if colon:
-        return _in_file(Path(f"{path}.py"), wanted)
     if is_model_path(name):
-        return _in_file(Path(name), "")
+        return _in_file(*split_model_path(name))
     for source in _sources():
         model = source.find(name)
         if model is not None:
@@ -334,6 +333,28 @@ def is_model_path(name: str) -> bool:
     """Whether `find_model` takes ``name`` as a file, and not as the name of a model."""
     is_python = name.endswith(".py") or ".py:" in name or "/" in name or "\\" in name
     return is_python or find_plant_kind(name) is not None
+
+
+def split_model_path(name: str) -> tuple[Path, str]:
+    """The file of ``my/rig.py:name``, and the name in it; "" where it has none."""
+    file, colon, wanted = name.rpartition(".py:")
+    return (Path(f"{file}.py"), wanted) if colon else (Path(name), "")
+
+
+# Digests of the programs that this user has named as models when a study was written, in the folder of the cache.
+MODELS_FILE = "models.json"
+
+
+def remember_program(name: str) -> None:
+    """Know the file that ``name`` is, as it stands, for a program that this user runs: a study may name it again."""
+    if runs_code(name) and (file := split_model_path(name)[0]).is_file():
+        list_foreign({file: ""}, MODELS_FILE, find_cache_folder() / MODELS_FILE)
+
+
+def is_remembered(name: str) -> bool:
+    """Whether `remember_program` knows the file that ``name`` is, and it has not changed since."""
+    file = split_model_path(name)[0]
+    return file.is_file() and is_output_of(file, MODELS_FILE, find_cache_folder() / MODELS_FILE)
 
 
 def runs_code(name: str) -> bool:

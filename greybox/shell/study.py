@@ -21,7 +21,7 @@ from greybox.shell import completion
 from greybox.shell import study_values as kinds
 
 T = TypeVar("T")
-HOLDS = ("auto", "zero", "first", "band-limited")
+HOLDS = ("auto", "zero", "first", "band-limited", "mean")
 METHODS = ("automatic", "exact", "rk4", "mixed", "midpoint", "radau")
 TRANSCRIPTIONS = ("automatic", "single", "multiple", "collocation-radau", "collocation-legendre", "arcs")
 
@@ -191,10 +191,12 @@ class Study:
         "Number of rows at the start of each validation record from which its initial state is estimated; they are ignored as"
         " --skip ignores rows. 0: those of --skip, or the first 50, and more where these do not determine it; they then count.")
     hold = Option(kinds.Choice(HOLDS), "--hold", "records.hold",
-        "The inputs between samples: zero (held), first (straight lines), band-limited, or auto: first for an input that is smooth and"
-        " carries the noise of a sensor, else zero.")
+        "The inputs between samples: zero (held), first (straight lines), band-limited, mean (every value, of outputs too, is the mean"
+        " over the interval that ends at its row), or auto: first for an input that is smooth and carries the noise of a sensor, else"
+        " zero.")
     interpolation = Option(kinds.Table("INPUT=COURSE", "u=first"), "--interpolate INPUT=COURSE", "interpolation.",
-        "How an input moves between its samples, if not as --hold says: zero, first or band-limited.")
+        "How an input moves between its samples, if not as --hold says: zero, first, band-limited or mean; OUTPUT=mean for outputs that"
+        " are means.")
     before = Option(kinds.Numbers("INPUT=VALUE", "u=0"), "--before INPUT=VALUE", "before.",
         "What an input was before each record, in the model's unit, for models whose inputs act late. [default: its first value]",
         completion.signals)

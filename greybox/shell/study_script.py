@@ -30,6 +30,7 @@ def study_script(study: Study, path: Path, *, searched: Study | None = None) -> 
         "from greybox.shell.project import find_model",
     ]
     imports += ["from greybox.shell.own_effects import find_effect"] * ("find_effect(" in text)
+    imports += ["from greybox.shell.inputs import hold_against"] * ("hold_against(" in text)
     head = [f'"""Repeats a study. Run with: python {path.name}. Numbers are in the units of the model."""', ""]
     return "\n".join([*head, *imports, "", f"{FOLDER} = Path(__file__).resolve().parent", "", text, ""])
 
@@ -42,17 +43,28 @@ def _is_shipped(name: str) -> bool:
 
 
 def _model_lines(study: Study, folder: Path, variable: str = "model") -> list[str]:
-    from greybox.shell.project import is_model_path
+    from greybox.shell.project import is_model_path, split_model_path
 
     model = study.model
     if is_model_path(model):
-        file, colon, name = model.rpartition(".py:")
-        place = _place(Path(f"{file}.py") if colon else Path(model), folder)
+        file, name = split_model_path(model)
+        place = _place(file, folder)
         lines = [
-            f'{variable} = find_model(f"{{{place}}}:{name}")' if colon else f"{variable} = find_model(str({place}))"
+            f'{variable} = find_model(f"{{{place}}}:{name}")' if name else f"{variable} = find_model(str({place}))"
         ]
     else:
         lines = [f"{variable} = find_model({model!r})"]
+    equations, declared = study.definition
+    if equations:
+        given = sorted({*study.fixed, *study.start, *study.free})
+        lines += [
+            "# The model as it was; one that was edited since is refused, unless these lines are taken out.",
+            "stated = [",
+            *(f"    {line!r}," for line in equations.splitlines()),
+            "]",
+            f"declared = {dict(declared)!r}",
+            f'hold_against({variable}, ("\\n".join(stated), declared), {given!r}, __file__, "take out hold_against")',
+        ]
     for name, (by, at) in study.schedules.items():
         about = "" if at is None else f", about={at!r}"
         lines.append(f"{variable} = {variable}.schedule({name!r}, by={by!r}{about})")

@@ -313,12 +313,12 @@ class ModelName(Word):
     """A model: its name, or its file, which is a program; or a result that holds one."""
 
     def moved(self, value: str, move: Callable[[Path], Path]) -> str:
-        from greybox.shell.project import is_model_path
+        from greybox.shell.project import is_model_path, split_model_path
 
         if not is_model_path(value) and not value.endswith(".json"):
             return value
-        file, colon, name = value.rpartition(".py:")
-        return f"{move(Path(f'{file}.py')).as_posix()}:{name}" if colon else move(Path(value)).as_posix()
+        file, name = split_model_path(value)
+        return move(file).as_posix() + (f":{name}" if name else "")
 
 
 @dataclass(frozen=True)

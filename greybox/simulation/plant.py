@@ -283,6 +283,11 @@ def to_plant_record(model: PlantModel, experiment: Experiment) -> PlantRecord:
     """
     missing = [i.name for i in model.inputs if i.name not in experiment.inputs]
     names = [o.name for o in model.outputs]
+    if experiment.outputs_are_means or "mean" in experiment.courses.values():
+        raise DataError(
+            f"experiment {experiment.name!r}: hold 'mean' needs equations, and {model.title!r} is run from outside; say held ('zero') and"
+            " write each mean where its interval begins"
+        )
     if missing:
         raise DataError(
             f"experiment {experiment.name!r} has no input {missing[0]!r}; {nearest(missing[0], experiment.inputs)}"

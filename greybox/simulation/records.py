@@ -90,30 +90,58 @@ _LAID_OUT: WeakKeyDictionary[Experiment, WeakValueDictionary[tuple[Any, ...], Re
 
 def _lay_out(experiment: Experiment, inputs: Sequence[tuple[str, str, int]], outputs: Sequence[str]) -> Record:
     """``inputs``: name, course between the rows, and the rows by which it is written late."""
-    rows = experiment.rows
-    u = stack_signals([_shift(experiment.inputs[name], late) for name, _, late in inputs], rows)
+    rows, courses = experiment.rows, [course for _, course, _ in inputs]
+    u = [_shift(experiment.inputs[name], late) for name, _, late in inputs]
     measured = (experiment.outputs.get(name) for name in outputs)
     y = stack_signals([np.full(rows, np.nan) if values is None else values for values in measured], rows)
-    courses = np.array([course for _, course, _ in inputs], str)
-    if "band-limited" in courses:
-        return _to_finer_record(experiment, u, y, inputs)
-    lengths, row = _group_intervals(experiment.intervals)
+    if "band-limited" in courses and experiment.sampling_time is None:
+        raise DataError(
+            f"experiment {experiment.name!r}: a band-limited input needs uniform sampling; resample it or take hold='first'"
+        )
+    # A mean of an output is what it was in the middle of its interval (but for h^2 y'' / 24): half an interval before its stamp.
+    points = BAND_LIMITED_POINTS if "band-limited" in courses else 2 if experiment.outputs_are_means else 1
+    earlier = points // 2 if experiment.outputs_are_means else 0
+    place, intervals = np.arange(points * (rows - 1) + 1) - earlier, experiment.intervals
+    if points > 1:
+        # NaN between the samples: those rows count in no cost.
+        samples, y = y, np.full((len(place), y.shape[1]), np.nan)
+        y[::points] = samples
+        intervals = intervals[np.clip(place[:-1] // points, 0, max(rows - 2, 0))] / points
+    if points > 1 or "mean" in courses:
+        u = [_read_input(values, course, place, points) for values, course in zip(u, courses, strict=True)]
+    lengths, row = _group_intervals(intervals)
     # Equal intervals take the memory of one.
     h = np.broadcast_to(lengths, row.shape) if len(lengths) == 1 else lengths[row]
-    spacing = float(np.median(experiment.intervals)) if len(h) else 1.0
-    return Record(u, y, h, row, lengths, courses != "zero", before=_find_rows_before(experiment, inputs, spacing))
+    spacing = float(np.median(intervals)) if len(h) else 1.0
+    before = _find_rows_before(experiment, inputs, spacing, earlier)
+    is_linear = ~np.isin(courses, ("zero", "mean"))
+    return Record(stack_signals(u, len(place)), y, h, row, lengths, is_linear, points, before=before)
+
+
+def _read_input(values: np.ndarray, course: str, place: np.ndarray, points: int) -> np.ndarray:
+    """An input (N,) where ``points`` rows make a sample, in rows (M,) at ``place``, counted from the stamp of the first sample."""
+    if course == "first":
+        return np.interp(place / points, np.arange(len(values)), values)
+    if course == "band-limited":
+        finer = interpolate_band_limited(values[:, None], points)[:, 0]
+        return finer[np.clip(place, 0, len(finer) - 1)]
+    # From one stamp to the next acts what was written at the first, or what was meant at the second over the time between.
+    return values[np.clip(place // points + (course == "mean"), 0, len(values) - 1)]
 
 
 def _find_rows_before(
-    experiment: Experiment, inputs: Sequence[tuple[str, str, int]], spacing: float
+    experiment: Experiment, inputs: Sequence[tuple[str, str, int]], spacing: float, earlier: int
 ) -> np.ndarray | None:
-    """What is known of the inputs before the record, in rows (K, nu) ``spacing`` seconds apart, the latest last; NaN in gaps."""
+    """What is known of the inputs before the record, in rows (K, nu) ``spacing`` seconds apart, the latest last; NaN in gaps.
+
+    The record begins so many rows ``earlier`` than its first stamp.
+    """
     ages = experiment.before_ages
     if not len(ages):
         return None
-    rows = min(MAX_DELAY_ROWS, max(1, math.ceil(ages[0] / spacing - TIME_ROUNDING)))
+    rows = min(MAX_DELAY_ROWS, max(1, math.ceil(ages[0] / spacing - TIME_ROUNDING) - earlier))
     # Rows that are due at one time but for its rounding are that row.
-    times = -spacing * (np.arange(rows, 0, -1) - TIME_ROUNDING)
+    times = -spacing * (np.arange(rows, 0, -1) + earlier - TIME_ROUNDING)
     latest = np.maximum(np.searchsorted(-ages, times, side="right") - 1, 0)
     # Nobody recorded what the input was in a gap.
     unknown = np.isin(latest, find_time_gaps(np.append(-ages, 0.0))) & (times + ages[latest] > spacing)
@@ -121,7 +149,9 @@ def _find_rows_before(
     for name, course, _ in inputs:
         first = experiment.inputs[name][:1]
         known = np.append(experiment.before.get(name, np.full(len(ages), first[0])), first)
-        past = known[latest] if course == "zero" else np.interp(times, np.append(-ages, 0.0), known)
+        past = np.interp(times, np.append(-ages, 0.0), known)
+        if course in ("zero", "mean"):
+            past = known[latest + (course == "mean")]
         columns.append(np.where(unknown, np.nan, past))
     return stack_signals(columns, rows)
 
@@ -133,33 +163,6 @@ def _shift(values: np.ndarray, late: int) -> np.ndarray:
 
 # Points in each interval, between which the input is linear.
 BAND_LIMITED_POINTS = 12
-
-
-def _to_finer_record(
-    experiment: Experiment, u: np.ndarray, y: np.ndarray, inputs: Sequence[tuple[str, str, int]]
-) -> Record:
-    courses = np.array([course for _, course, _ in inputs], str)
-    if experiment.sampling_time is None:
-        raise DataError(
-            f"experiment {experiment.name!r}: a band-limited input needs uniform sampling; resample it or take hold='first'"
-        )
-    points = BAND_LIMITED_POINTS
-    rows = points * (len(y) - 1) + 1
-    measured = np.full((rows, y.shape[1]), np.nan)
-    # NaN between the samples: those rows count in no cost.
-    measured[::points] = y
-    length = np.array([experiment.sampling_time / points])
-    # A held input is repeated, a straight one is on its line: the rows between samples change nothing of their course.
-    place, sample = np.arange(rows) / points, np.arange(rows) // points
-    finer = u[sample]
-    band_limited = courses == "band-limited"
-    finer[:, band_limited] = interpolate_band_limited(u[:, band_limited], points)
-    for j in np.flatnonzero(courses == "first"):
-        finer[:, j] = np.interp(place, np.arange(len(u)), u[:, j])
-    h = np.broadcast_to(length, (rows - 1,))
-    before = _find_rows_before(experiment, inputs, float(length[0]))
-    row = np.zeros(rows - 1)
-    return Record(finer, measured, h, row, length, courses != "zero", rows_per_sample=points, before=before)
 
 
 # Half the length of the interpolating filter, in intervals.

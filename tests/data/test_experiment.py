@@ -70,7 +70,7 @@ def test_a_short_record_is_read_and_says_that_it_carries_little(rows, told):
 
 
 REFUSED = [
-    ({"hold": "cubic"}, "hold 'cubic' is unknown; known: auto, zero, first, band-limited: 'zero' (held)"),
+    ({"hold": "cubic"}, "hold 'cubic' is unknown; known: auto, zero, first, band-limited, mean: 'zero' (held)"),
     ({"time": TIME[:1], "inputs": {"u": DRIVE[:1]}, "outputs": {"y": ANSWER[:1]}}, "1 rows; a record needs at least 2"),
     ({"inputs": {"u": DRIVE[1:]}}, "input 'u' has 39 rows, time has 40; each signal needs one value for each time"),
     ({"outputs": {"y": ANSWER[:, None]}}, "output 'y' has shape (40, 1); give one number for each row"),

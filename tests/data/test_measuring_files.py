@@ -373,6 +373,8 @@ def test_the_course_of_an_unknown_input_is_refused(files: Callable[[str], Path])
         gb.read_csv(files("mdf"), LAG_MODEL, interpolation={"v": "first"})
     with pytest.raises(DataError, match="hold 'cubic' of 'u' is unknown"):
         gb.read_csv(files("mdf"), LAG_MODEL, interpolation={"u": "cubic"})  # type: ignore[dict-item]
+    with pytest.raises(DataError, match="'u', 'y': a mean belongs to an interval of its own clock"):
+        gb.read_csv(files("mdf"), LAG_MODEL, hold="mean")
 
 
 def test_electrical_signals_are_the_likely_inputs_where_no_name_says_so(tmp_path: Path) -> None:

@@ -103,6 +103,26 @@ def test_every_look_of_a_text_file_gives_the_same_arrays(tmp_path, how):
     assert (experiment.name, experiment.source, experiment.hold, experiment.findings) == ("run", "run.csv", "zero", ())
 
 
+def test_signals_are_means_where_that_is_told(tmp_path):
+    path = good(tmp_path / "run.csv")
+    told = {name: {"hold": hold} for name, hold in (("all", "mean"), ("inputs", {"u": "mean"}))}
+    told["by name"] = {"interpolation": dict.fromkeys(("u", "x", "i"), "mean")}
+    records = {name: read_csv(path, RIG, **how) for name, how in told.items()}
+    assert {name: (r.hold, r.outputs_are_means) for name, r in records.items()} == {
+        "all": ("mean", True),
+        "inputs": ({"u": "mean"}, False),
+        "by name": ("mean", True),
+    }
+    # A part keeps it, and so does a record that is run without its outputs.
+    assert records["all"].window(0, 3).with_outputs({}).outputs_are_means
+    assert read_csv(path, RIG, hold={"x": "mean", "i": "mean"}).with_hold({"u": "first"}).hold == {
+        **{"u": "first", "x": "mean", "i": "mean"}
+    }
+    for wrong, message in (({"x": "mean"}, "nothing of 'i'"), ({"x": "first"}, "'x', which is no input")):
+        with pytest.raises(DataError, match=message):
+            read_csv(path, RIG, hold=wrong)
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".CSV", ".tsv", ".txt", ".dat"])
 def test_every_text_suffix_is_read(tmp_path, suffix):
     same(read_csv(good(tmp_path / f"run{suffix}", separator="\t"), RIG))

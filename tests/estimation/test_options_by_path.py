@@ -10,7 +10,7 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State
-from greybox.base import ModelError
+from greybox.base import DataError, ModelError
 from greybox.estimation.score import score_fit
 
 pytestmark = pytest.mark.rest
@@ -69,7 +69,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "transcription": {"transcription": "multiple"},
     "arc_length": {"arc_length": 1.0},
     "hold": {},
+    "mean": {},
 }
+HOLDS = {"hold": "first", "mean": "mean"}
 REFUSED = {
     ("collocation", "method"),
     ("collocation", "arc_length"),
@@ -80,7 +82,7 @@ REFUSED = {
     ("filter", "transcription"),
     ("filter", "arc_length"),
     ("filter", "common_noise"),
-    *(("plant", name) for name in ("method", "substeps", "transcription", "arc_length")),
+    *(("plant", name) for name in ("method", "substeps", "transcription", "arc_length", "mean")),
 }
 
 
@@ -102,7 +104,7 @@ def constants(path: str, option: str = "") -> tuple[float | str, ...]:
     model, base = PATHS[path]
     fit = gb.fit(
         model,
-        records("first" if option == "hold" else "zero"),
+        records(HOLDS.get(option, "zero")),
         options=FitOptions(**{**base, **OPTIONS.get(option, {})}),
     )
     assert fit.success
@@ -140,7 +142,7 @@ def test_an_option_works_or_is_refused(path: str, option: str) -> None:
     if PATHS[path][1].items() & OPTIONS[option].items():
         return
     if (path, option) in REFUSED:
-        with pytest.raises(ModelError, match=option):
+        with pytest.raises((DataError, ModelError), match=option):
             constants(path, option)
         return
     found, plain = constants(path, option), constants(path)

@@ -87,6 +87,48 @@ def test_the_filter_tells_the_course_too() -> None:
     assert not find(gb.fit(pushed, record.with_hold("first")))
 
 
+# Between rows an input moves on in so many parts.
+PARTS = 40
+
+
+def measure_means(name: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Means (N,) over the intervals that end at the rows, of an input and of what it drives, and the output at the rows."""
+    rng, count = np.random.default_rng(seed), ROWS // 4 * PARTS
+    u = {
+        "steps": np.repeat(rng.normal(size=ROWS // 20), count // (ROWS // 20)),
+        "duty": (rng.random(count) < np.repeat(rng.random(ROWS // 20), count // (ROWS // 20))) + 0.0,
+        "clouds": np.interp(np.arange(count), np.arange(0, count + 300, 300), rng.random(count // 300 + 2)),
+        "one step": (np.arange(count) > count / 7) + 0.0,
+    }[name]
+    y = lsim(
+        ([[-0.5]], [[1.0]], [[1.0]], [[0.0]]), u, 5 * STEP / PARTS * np.arange(count), interp=False, X0=[2 * u[0]]
+    )[1]
+    return u.reshape(-1, PARTS).mean(axis=1), y.reshape(-1, PARTS).mean(axis=1), y[PARTS - 1 :: PARTS]
+
+
+@pytest.mark.parametrize("name", ["steps", "duty", "clouds", "one step"])
+@pytest.mark.parametrize("all_are", [True, False], ids=["all means", "inputs alone"])
+def test_means_over_the_past_interval_are_recognised(name: str, all_are: bool) -> None:
+    u, averaged, read = measure_means(name, 3)
+    y, time = (averaged if all_are else read), 5 * STEP * np.arange(1, len(u) + 1)
+    record = Experiment.from_arrays(
+        time, {"u": u}, {"y": y + 0.01 * y.std() * np.random.default_rng(1).normal(size=len(y))}
+    )
+    mistaken = gb.fit(lag, record)
+    (finding,) = find(mistaken)
+    told = "mean" if all_are else {"u": "mean"}
+    # A smooth mean beside smooth means is, in their middles, a straight line.
+    straight = name == "clouds" and all_are
+    assert finding.code == CODES[0]
+    assert finding.values["courses"] == ({"u": "first"} if straight else {} if all_are else told)
+    right = gb.fit(lag, record.with_hold(told))
+    assert not find(right)
+    # An eighth of the time constant lies between rows: of it a mean does not tell in which part the input came.
+    assert right.parameters["tau"].value == pytest.approx(2.0, rel=0.015)
+    tau = mistaken.parameters["tau"]
+    assert abs(tau.value - 2.0) > max(0.04 * 2.0, 2 * tau.std)
+
+
 def test_of_two_inputs_the_mistaken_one_is_named() -> None:
     room = Model(
         "room",

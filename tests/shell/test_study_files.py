@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import runpy
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from click.testing import Result
 from hypothesis import given
 from hypothesis import strategies as st
 
-from greybox.base.errors import GreyboxError
+from greybox.base.errors import DataError, GreyboxError
 from greybox.data.signals import multisine
 from greybox.shell.commands import COMMANDS
 from greybox.shell.study import Study
@@ -162,7 +163,7 @@ HEAD = 'model = "micro_actuator"\n[records]\nestimation = ["a.csv"]\n'
         (HEAD + "skip = 1.5", "study.toml, [records] skip: 1.5 must be a whole number"),
         (
             HEAD + "hold = 'second'",
-            "study.toml, [records] hold: there is no choice 'second'; known: auto, zero, first, band-limited",
+            "study.toml, [records] hold: there is no choice 'second'; known: auto, zero, first, band-limited, mean",
         ),
         (HEAD + "at_rest = 1", "study.toml, [records] at_rest: 1 must be true or false"),
         (HEAD + "quiet = [1]", "study.toml, [records] quiet: 1 must be a text in quotes"),
@@ -283,6 +284,58 @@ def test_a_study_is_held_against_all_that_its_model_states(run: Run, data: Path,
     assert run("check", study, "--fix", "M=0.01").exit_code == (0 if what == "a constant" else 2)
     assert run("check", study, "--write-study", tmp_path / "again.toml").exit_code == 0
     assert stored in (tmp_path / "again.toml").read_text()
+
+
+PROGRAM = """from greybox import Balance, Input, Model, Output, Parameter, State
+rig = Model("rig", states=[State("x", "m")], inputs=[Input("u", "V")], outputs=[Output("x", "m")],
+    parameters=[Parameter("K", "1/s", 1.0), Parameter("b", "m/(s*V)", 1.0)],
+    balances=lambda x, u, p: [Balance("rate", "m/s", 1, "x", drive=p.b * u.u, back={})])
+"""
+
+
+def test_a_study_runs_the_model_file_that_was_named_when_it_was_written(run: Run, data: Path, tmp_path: Path) -> None:
+    written = PROGRAM.format("-p.K * x.x")
+    for place in ("rig.py", "sub/rig.py:rig", "other.py:rig"):
+        file = tmp_path / place.partition(":")[0]
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(written)
+        study = tmp_path / f"{file.stem}-{file.parent.name}.toml"
+        assert run("check", place, data / "train.csv", "--write-study", study).exit_code == 0
+        assert run("check", study).exit_code == 0
+        # In another place it is somebody's study.
+        copy = tmp_path / "copy" / study.name
+        copy.parent.mkdir(exist_ok=True)
+        copy.write_text(study.read_text())
+        (copy.parent / file.relative_to(tmp_path)).parent.mkdir(exist_ok=True)
+        (copy.parent / file.relative_to(tmp_path)).write_text(written)
+        assert run("check", copy).exit_code == 2
+        # A program that was edited is another one, and so is what it states once it has been named.
+        file.write_text(PROGRAM.format("-2 * p.K * x.x"))
+        edited = run("check", study)
+        assert edited.exit_code == 2 and "a study alone runs none" in edited.stderr
+        assert run("check", place, data / "train.csv", "--write-study", study.with_suffix(".new.toml")).exit_code == 0
+        refused, insisted = run("check", study), run("check", study, "--model", place)
+        assert refused.exit_code == 2 and "- 2 K x" in refused.stderr and "- K x" in refused.stderr
+        assert insisted.exit_code == 0 and "- 2 K x" in insisted.output
+
+
+def test_a_program_refuses_a_model_that_was_edited_since(run: Run, data: Path, tmp_path: Path) -> None:
+    model, program = tmp_path / "rig.py", tmp_path / "repeat.py"
+    model.write_text(PROGRAM.format("-p.K * x.x"))
+    assert (
+        run("check", model, data / "train.csv", "--start", "K=2", "--write-study", tmp_path / "s.toml").exit_code == 0
+    )
+    text = study_script(read_study(tmp_path / "s.toml", "check", COMMANDS), program)
+    program.write_text(text.partition("records =")[0])
+    assert runpy.run_path(str(program))["model"].values == {"K": 2.0, "b": 1.0}
+    model.write_text(PROGRAM.format("-2 * p.K * x.x"))
+    edited = tmp_path / "edited" / model.name
+    edited.parent.mkdir()
+    edited.write_text(model.read_text())
+    program = edited.parent / program.name
+    program.write_text(text.partition("records =")[0])
+    with pytest.raises(DataError, match=r"(?s)take out hold_against.*- K x.*- 2 K x"):
+        runpy.run_path(str(program))
 
 
 def test_a_study_file_is_never_overwritten(run: Run, tmp_path: Path, data: Path) -> None:

@@ -176,20 +176,25 @@ class StudyOnFile:
     def write_study(self, session: Session, path: Path) -> str:
         """The text of the study file ``path``, from which ``greybox fit`` computes the same."""
         from greybox.shell.commands import COMMANDS
-        from greybox.shell.project import find_model
 
-        study = self.to_study(session, path.parent)
-        # The other model is a file that the app writes beside it.
-        is_named = study.model == self.study.model
-        definition = inputs.state_in_study(find_model(study.model), study) if is_named else ("", {})
-        return study_text(study.but(definition=definition), path, "fit", COMMANDS)
+        return study_text(self._defined(session, path.parent), path, "fit", COMMANDS)
 
     def write_script(self, session: Session, path: Path) -> str:
         """The text of the Python program ``path`` that computes the same."""
-        study = self.to_study(session, path.parent)
+        study = self._defined(session, path.parent)
         if session.discovery is None or session.searched is None or not study.validation:
             return study_script(study, path)
-        return study_script(study, path, searched=self.to_study(replace(session, model=session.searched), path.parent))
+        return study_script(study, path, searched=self._defined(replace(session, model=session.searched), path.parent))
+
+    def _defined(self, session: Session, folder: Path) -> Study:
+        """The study with what its model states, unless that is a file which the app writes beside it."""
+        from greybox.shell.project import find_model, remember_program
+
+        study = self.to_study(session, folder)
+        if study.model != self.study.model:
+            return study
+        remember_program(study.model)
+        return study.but(definition=inputs.state_in_study(find_model(study.model), study))
 
     def to_study(self, session: Session, folder: Path) -> Study:
         """The study that a session is by now; its model a file in ``folder`` where it has no name."""

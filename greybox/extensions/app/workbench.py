@@ -33,6 +33,7 @@ from greybox.model import Effect, Model, equations_text
 from greybox.model.effects.catalogue import all_effects, find_placements
 from greybox.model.parts import PARTS
 from greybox.model.system import Statement
+from greybox.shell.project import remember_program
 from greybox.show import report
 from greybox.show.documents.tables import MISFIT_HEADS, estimate_cells, misfit_cells
 from greybox.show.figures.discovery import plot_misfit_windows
@@ -452,6 +453,7 @@ class Workbench:
     def _remember(self, files: Iterable[Path]) -> None:
         """Know these files for what the app wrote, when it exports again, in this session or in another."""
         list_foreign(dict.fromkeys(files, ""), EXPORTER, find_cache_folder() / OUTPUTS_FILE)
+        remember_program(str(self.folder / MODEL_FILE))
 
     def close(self) -> None:
         """End what runs."""

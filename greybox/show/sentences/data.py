@@ -24,6 +24,7 @@ HOLDS = {
     "zero": "input held between samples",
     "first": "input linear between samples",
     "band-limited": "band-limited input between samples",
+    "mean": "input as means over the interval before each row",
 }
 _LEAVE_EMPTY = "leave these fields empty"
 
@@ -245,7 +246,11 @@ def describe_range(values: np.ndarray) -> str:
 
 def _describe_courses(experiment: Experiment) -> str:
     if not isinstance(experiment.hold, Mapping):
-        return HOLDS[experiment.hold]
+        return (
+            "every value a mean over the interval before its row"
+            if experiment.hold == "mean"
+            else HOLDS[experiment.hold]
+        )
     return ", ".join(
         f"{n} {HOLDS[course].replace('input ', '').replace(' input', '')}" for n, course in experiment.hold.items()
     )

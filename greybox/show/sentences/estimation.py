@@ -201,13 +201,18 @@ def _write_narrowed(finding: Finding) -> str:
     return f"{finding.subject} {where} as exactly known there; with {'them' if several else 'it'} free, {' and '.join(parts)}"
 
 
-_COURSES = {"zero": "held between its rows", "first": "straight between its rows"}
+_COURSES = {
+    "zero": "held between its rows",
+    "first": "straight between its rows",
+    "mean": "as the mean over the interval before its row",
+}
 
 
 @writes(EstimationCode.INPUT_COURSE_CONTRADICTED)
 def _write_course_contradicted(finding: Finding) -> str:
     changes = f", with {_list_changes(finding)}" if finding.values["changes"] else ""
-    return f"the records fit better with input {_list_courses(finding)}{changes}: {_course_remedy(finding, 'fit anew')}"
+    which = f"input {_list_courses(finding)}" if _courses(finding) else f"every value {_COURSES['mean']}"
+    return f"the records fit better with {which}{changes}: {_course_remedy(finding, 'fit anew')}"
 
 
 @writes(EstimationCode.INPUT_COURSE_OPEN)
@@ -231,11 +236,15 @@ def _list_courses(finding: Finding) -> str:
 
 def _courses(finding: Finding) -> dict[str, str]:
     # Files of earlier versions have one.
-    return dict(finding.values.get("courses") or {finding.subject: finding.values["course"]})
+    return dict(
+        finding.values["courses"] if "courses" in finding.values else {finding.subject: finding.values["course"]}
+    )
 
 
 def _course_remedy(finding: Finding, what: str) -> str:
-    courses = _courses(finding)
+    courses = _courses(finding) or "mean"
+    if isinstance(courses, str):
+        return f"{what} with hold={courses!r} (shell: --hold {courses})"
     options = " ".join(f"--interpolate {name}={course}" for name, course in courses.items())
     return f"{what} with hold={courses!r} (shell: {options})"
 
