@@ -20,7 +20,7 @@ from greybox.data.headers import LONGEST_HEADER, TIME, Column, UnitSource, parse
 from greybox.data.notation import converts, is_count, read_conversion, read_notation
 from greybox.data.policy import ReadingPolicy
 from greybox.data.problems import RowLabels, enumerate_first
-from greybox.data.stamps import Stamps
+from greybox.data.stamps import Stamps, from_digits
 from greybox.model import Model
 
 # A file as named columns that are turned into numbers only when asked for.
@@ -207,6 +207,8 @@ class ColumnMatch:
         if signal is None or column is None or not len(arrays[column.position]):
             return self
         unit = find_stamp_unit(arrays[column.position])
+        if column.unit in ("", "s") and from_digits(arrays[column.position]):
+            return self
         if not unit and column.known is not UnitSource.TOLD:
             seconds = self.conversions[signal](arrays[column.position])
             if likely := find_likely_unit(seconds, stated=bool(column.unit)):

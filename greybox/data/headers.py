@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -66,25 +67,29 @@ LONGEST_HEADER = 200
 _SQUARE = re.compile(
     r"(?P<name>(?:[^\[\]]|(?<=\S)\[(?!1\])\d+\])*?)(?!(?<=[^\s\[\]])\[(?!1\])\d+\])\s*\[(?P<unit>[^\[\]]*)\]\s*(?P<rest>[^\[\]]*)"
 )
+# Signs for a unit (degree Celsius, ms, kW in one character of Asian fonts) and wide letters and brackets.
+_ONE_SIGN = re.compile("[\u2100-\u214f\u3300-\u33ff\uff01-\uff5e]+")
 # Brackets that may belong to the name: Laser (ch1), log{2}.
 _OTHER = {")": "(", "}": "{", ">": "<"}
 
 
 def parse_header(header: str, position: int) -> Column:
     """``x [um]``, ``x {um}`` or ``x (um)`` as name and unit; parentheses without a unit (``Laser (ch1)``) belong to the name."""
-    text = header.strip()
+    whole = header.strip()
+    # One character of a unit or of a whole line of wide ones is what it stands for.
+    text = _ONE_SIGN.sub(lambda sign: unicodedata.normalize("NFKC", sign.group()), whole)
     if len(text) > LONGEST_HEADER:
-        return Column(text, text, "", position)
+        return Column(whole, text, "", position)
     square = _SQUARE.fullmatch(text)
     # Behind its brackets a name may go on, if they hold a unit: time [ms] raw.
     if square and (not square["rest"] or _looks_like_unit(square["unit"].strip())):
         name, unit = f"{square['name']} {square['rest']}".strip(), square["unit"].strip()
-        return Column(text, name, unit, position, UnitSource.STATED if unit else UnitSource.NONE)
+        return Column(whole, name, unit, position, UnitSource.STATED if unit else UnitSource.NONE)
     for at in (k for k, letter in enumerate(text) if k and letter == _OTHER.get(text[-1])):
         unit = text[at + 1 : -1].strip()
         if _looks_like_unit(unit):
-            return Column(text, text[:at].strip(), unit, position, UnitSource.STATED)
-    return Column(text, text, "", position)
+            return Column(whole, text[:at].strip(), unit, position, UnitSource.STATED)
+    return Column(whole, text, "", position)
 
 
 def _looks_like_unit(text: str) -> bool:

@@ -64,7 +64,8 @@ COUNT_WORDS = frozenset(
     for words in (
         "inc incs increment increments ink inkrement inkremente raw raws rohwert rohwerte count counts cnt cnts cts step steps schritt",
         "schritte tick ticks pulse pulses puls imp impuls impulse digit digits dig lsb lsbs bit bits adc dac code codes dn adu stk stück",
-        "edge edges a.u. au arb arb. none n/a unitless dimensionless bool boolean flag p.u. pu",
+        "edge edges a.u. au arb arb. none n/a unitless dimensionless bool boolean flag p.u. pu px pixel pixels",
+        "pel dots ct pcs pts",
     )
     for word in words.split()
 )
@@ -79,7 +80,8 @@ _UNCLEAR: tuple[tuple[re.Pattern[str], str], ...] = tuple(
         ),
         (r"slpm|slm|sccm|scfm|(?-i:sl|ln|Nl|NL|Nm3|Nm³)/(min|h|s)", "a flow of standard litres is one of mass"),
         (r"(?-i:grad|GRAD)(/.*)?", "it is gon (400 to a turn) to some and deg (360) to others"),
-        (r"d[bB]\w*", "a logarithm is no unit; convert it to the quantity itself"),
+        (r"tons?(/.*)?", "it is 907 kg to some, 1016 or 1000 to others; say t for the last"),
+        (r"(?-i:d[bB])(m|v|u|uv|mv|a|c|i|w|z|fs|spl)?", "a logarithm is no unit; convert it to the quantity itself"),
     )
 )
 _ABSOLUTE = re.compile(r"(?P<unit>m?bar|[kMh]?Pa|psi)[ _]?(\(a\)|a|\(?abs\.?\)?|absolute?)")
@@ -191,7 +193,7 @@ def is_notation(text: str) -> bool:
     try:
         read_notation(text)
     except ModelError:
-        return is_unit(text)
+        return is_unit(text) or any(pattern.fullmatch(text) for pattern, _ in _UNCLEAR)
     return True
 
 

@@ -36,7 +36,7 @@ from greybox.data.headers import TIME
 from greybox.data.input_course import Hold, Holds, find_hold_problems
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels, find_array_problems, find_measurement_problems, raise_problems
-from greybox.data.stamps import SECOND, StampReader, Stamps, Start, find_origin, from_epoch
+from greybox.data.stamps import SECOND, StampReader, Stamps, Start, find_origin, from_digits, from_epoch
 from greybox.model import Model
 
 Arrays = dict[str, np.ndarray]
@@ -343,8 +343,10 @@ def read_arrays(
         else:
             values, conversion = raw.pop(column.position), match.conversions[signal]
             values = values if conversion.identical else conversion(values)
-            is_epoch = signal.kind is SignalKind.TIME and find_stamp_unit(values) == "s"
-            stamps, order = (from_epoch(values) if is_epoch else None), ""
+            stamps, order = None, ""
+            if signal.kind is SignalKind.TIME:
+                is_epoch = find_stamp_unit(values) == "s"
+                stamps = from_epoch(values) if is_epoch else from_digits(values) if column.unit in ("", "s") else None
         if stamps is not None:
             try:
                 values, start, seen = stamps.count_seconds(column.header, order)

@@ -414,6 +414,24 @@ def from_epoch(seconds: np.ndarray) -> Stamps:
     return Stamps(nanoseconds, StampKind.DATE, zoned=True)
 
 
+# Rows from which numbers that are all dates of this century are no counter: of a counter one row in thirty is one.
+LEAST_DATES = 5
+_CENTURY = 20
+
+
+def from_digits(numbers: np.ndarray) -> Stamps | None:
+    """Stamps from dates (N,) that are each one number, ``20240331``, ``202403310130`` or ``20240331013000``; None where one is none."""
+    texts = [f"{number:.0f}" for number in numbers if np.isfinite(number)]
+    lengths, first = {*map(len, texts)}, numbers[np.isfinite(numbers)][:1]
+    is_whole = len(texts) >= LEAST_DATES and len(lengths) == 1 and lengths <= {8, 12, 14}
+    if not is_whole or first[0] // 10 ** (lengths.pop() - 2) != _CENTURY or np.any(numbers % 1 > 0):
+        return None
+    reader = StampReader()
+    written = iter([f"{text[:8]}T{text[8:] or '00:00'}" for text in texts])
+    wrong = reader.add([next(written) if np.isfinite(number) else None for number in numbers])
+    return None if wrong else reader.finish()
+
+
 def find_origin(starts: Mapping[str, Start | None]) -> tuple[Start | None, dict[str, float]]:
     """The earliest of several starts, and how many seconds after it each of them is.
 

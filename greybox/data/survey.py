@@ -30,7 +30,7 @@ from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME, Column, UnitSource, parse_header, read_endings, read_time
 from greybox.data.notation import COUNT, converts, read_conversion, read_notation
 from greybox.data.problems import is_constant
-from greybox.data.stamps import Stamps, from_epoch
+from greybox.data.stamps import Stamps, from_digits, from_epoch
 from greybox.data.time_base import Samples, estimate_clock_offset, find_stamp_problems, is_held
 
 # Words of a name that speak for an input.
@@ -215,8 +215,15 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, rena
         columns[clock.position] = clock = replace(clock, unit=unit)
         # A clock in a unit of something else is looked at as it stands.
         time = read_conversion(unit, "s")(counted) if unit and converts(unit, "s") else counted
-        if find_stamp_unit(time) == "s":
-            stamps[clock.position] = from_epoch(time)
+        dates = (
+            from_epoch(time)
+            if find_stamp_unit(time) == "s"
+            else from_digits(counted)
+            if clock.unit in ("", "s")
+            else None
+        )
+        if dates is not None:
+            stamps[clock.position] = dates
         elif clock.position not in stamps and (likely := find_likely_unit(time, stated=bool(clock.unit))):
             columns[clock.position] = clock = replace(clock, unit=likely)
             reason = (

@@ -134,6 +134,13 @@ def test_temperatures_keep_their_zero(text, unit, kelvin):
         ("slpm", "m^3/s", "standard litres"),
         ("Nl/min", "m^3/s", "standard litres"),
         ("dBm", "W", "logarithm"),
+        ("ton", "kg", "907 kg to some"),
+        ("Tons/h", "kg/s", "907 kg to some"),
+        # An inch by 96, a petaparsec, carats and pints to a registry of units.
+        ("px", "m", "different things"),
+        ("pcs", "m", "different things"),
+        ("ct", "kg", "different things"),
+        ("pts", "m^3", "different things"),
         ("m", "s", "different things"),
     ],
 )

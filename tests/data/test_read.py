@@ -252,6 +252,15 @@ def test_headers_are_name_and_unit(name, unit, gap):
         ("q []", "q", ""),
         ("(V)", "(V)", ""),
         ("p_a (abs) [kPa]", "p_a (abs)", "kPa"),
+        # What is meant as a unit, and is refused where it is used.
+        ("p (psig)", "p", "psig"),
+        ("P (dBm)", "P", "dBm"),
+        ("Laser (DB4)", "Laser (DB4)", ""),
+        # Units in one character, and wide letters.
+        ("T [\u2103]", "T", "\N{DEGREE SIGN}C"),
+        ("time [\u33b3]", "time", "ms"),
+        ("P \u33be", "P kW", ""),
+        ("\uff59\uff3b\uff4d\uff4d\uff3d", "y", "mm"),
     ],
 )
 def test_parentheses_are_a_unit_only_when_they_hold_one(header, name, unit):

@@ -78,6 +78,22 @@ def test_every_way_to_write_a_stamp_gives_the_same_seconds(tmp_path, way, header
     assert survey.signals[0].stop == pytest.approx(STEPS[-1], abs=1e-9)
 
 
+@pytest.mark.parametrize("header", ["time", "time [s]", "timestamp"])
+@pytest.mark.parametrize(("form", "step"), [("%Y%m%d%H%M%S", 13), ("%Y%m%d%H%M", 420), ("%Y%m%d", 86400)])
+def test_dates_of_one_number_are_read(tmp_path, form, step, header):
+    start = dt.datetime(2023, 12, 23, 23, 58)
+    path = write_table(
+        tmp_path / "run.csv", [f"{start + dt.timedelta(seconds=step * k):{form}}" for k in range(N)], header
+    )
+    record = read_csv(path, LAG, columns={"time": header})
+    np.testing.assert_allclose(record.time, step * np.arange(N), rtol=0, atol=1e-9)
+    assert RecordCode.DATES_READ in codes(record)
+    assert survey_file(path).signals[0].stop == pytest.approx(step * (N - 1))
+    # A counter passes through numbers that are no dates.
+    counter = read_csv(write_table(tmp_path / "c.csv", [int(20231123 + 7 * k) for k in range(N)], "time"), LAG)
+    assert counter.duration == 7 * (N - 1)
+
+
 def test_a_table_of_dates_without_a_header_is_read_whole(tmp_path):
     path = tmp_path / "run.csv"
     write_table(path, map(str, MOMENTS))
