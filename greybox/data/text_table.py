@@ -197,7 +197,10 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
     separator = stated or _guess_separator(first[skipped], body)
     rows = numbers.as_sequence()
     headers, header_line = split_header(first[skipped], separator), int(rows[skipped])
-    headless, has_units = _holds_numbers(headers), False
+    # A row may hold words as well: below a comment that names every field, a line with a number is one.
+    stated_header = _find_header_in_comments(comments, int(rows[skipped]), separator, len(headers))
+    is_named = stated_header is not None and any(_is_value(field) for field in headers)
+    headless, has_units = is_named or _holds_numbers(headers), False
     if not headless:
         below = split_header(first[skipped + 1], separator) if len(first) > skipped + 1 else []
         has_units = _is_row_of_units(below, len(headers))
@@ -210,7 +213,6 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
         headers = labelled or headers
         skipped += 0 if labelled else 1 + has_units
     else:
-        stated_header = _find_header_in_comments(comments, int(rows[skipped]), separator, len(headers))
         if stated_header is not None:
             header_line, headers = stated_header
             headless = False

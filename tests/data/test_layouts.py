@@ -97,6 +97,15 @@ def test_the_header_may_be_a_comment(tmp_path, before):
     same(read_csv(write(tmp_path / "run.csv", [*before, *ROWS]), RIG))
 
 
+def test_rows_below_a_comment_that_names_every_field_may_hold_words(tmp_path):
+    """As rostopic echo -p writes them."""
+    lines = [
+        "%time,field.frame_id,field.name0,u,x",
+        *(f"{t},,elbow,{rest}" for t, rest in (r.split(",", 1) for r in ROWS)),
+    ]
+    same(read_csv(write(tmp_path / "run.csv", lines), RIG))
+
+
 def test_a_comment_is_no_header_where_there_is_one(tmp_path):
     lines = ["# a,b,c", "time,u,x", *ROWS]
     same(read_csv(write(tmp_path / "run.csv", lines), RIG))

@@ -165,7 +165,7 @@ def identify_robot(
     if free and not known.any() and set(free) >= set(np.flatnonzero(log.counts.any(axis=0))):
         gauge = _set_level(base, log)
     if free:
-        scale[free] = _guess_constants(base, log, known + gauge, scale, free)
+        scale[free] = _guess_constants(base, log, known + gauge, free)
     log = replace(log, tau=scale * log.tau)
     for k, joint in enumerate(base.robot.axes):
         if not log.counts[:, k].any():
@@ -301,37 +301,24 @@ def _set_level(base: BaseParameters, log: JointLog) -> np.ndarray:
     return np.asarray(weight * np.outer(row, row))
 
 
-def _guess_constants(
-    base: BaseParameters, log: JointLog, known: np.ndarray, scale: np.ndarray, free: Sequence[int]
-) -> np.ndarray:
+def _guess_constants(base: BaseParameters, log: JointLog, known: np.ndarray, free: Sequence[int]) -> np.ndarray:
     """Torque constants to begin from: those with which the described links, and friction, follow the currents.
 
-    Where their weight does not show in the current of a joint it begins as the others; where none shows, by ``0 = Y beta + effects - K i``,
-    whose answers are too small by the noise of the currents: zero solves it too.
+    Where their weight does not show in the current of a joint it begins as the others. The currents alone, ``0 = Y beta + effects - K i``,
+    would not do: zero solves that as well, and their noise leads there.
     """
-    n, B = log.tau.shape[1], len(known) - 1
-    table = fill_table(replace(log, tau=scale * log.tau), known, np.zeros_like(known), WorkingPoint.start(B, n))
-    joints, gain = table.joints.copy(), B + COLUMNS.index(GAIN)
-    for i in free:
-        joints[i][:, gain], joints[i][:, :, gain] = -joints[i][:, -1], -joints[i][:, :, -1]
-        joints[i][:, gain, gain] = table.joints[i][:, -1, -1]
-        joints[i][:, -1], joints[i][:, :, -1] = 0.0, 0.0
-    chosen = [*range(B), *_usual(B, range(n)), *(place_column(B, i, GAIN) for i in free)]
-    x = solve(replace(table, joints=joints).weigh(np.ones(n)), chosen)
-    # A reading without any torque behind it is left as it is.
-    guessed = x[chosen[len(chosen) - len(free) :]]
+    B = len(known) - 1
+    table = fill_table(log, known, np.zeros_like(known), WorkingPoint.start(B, log.tau.shape[1]))
     # i = (described rigid bodies + effects) / K
     mixing = np.zeros((table.joints.shape[2] - 1, 1 + len(USUAL)))
     mixing[: len(base.names), 0], mixing[B : B + len(USUAL), 1:] = base.values, np.eye(len(USUAL))
-    sums = [BlockProducts(table.joints[i], table.rows[i]).substitute(mixing, np.zeros(len(mixing))) for i in free]
-    shares = np.array([(each.fit().x[0], each.fit().std[0]) for each in sums])
-    shows = np.abs(shares[:, 0]) > NAMED_DEVIATIONS * shares[:, 1]
-    if not shows.any():
-        return np.where(guessed != 0, guessed, 1.0)
+    fits = [BlockProducts(table.joints[i], table.rows[i]).substitute(mixing, np.zeros(len(mixing))).fit() for i in free]
+    shares = np.array([fit.x[0] for fit in fits])
+    shows = np.abs(shares) > NAMED_DEVIATIONS * np.array([fit.std[0] for fit in fits])
     # Friction takes power from a drive: what a drive that only turns its own link gives is of the sign of its speed.
     power = table.joints[list(free), :, B + COLUMNS.index(VISCOUS), -1].sum(axis=1)
-    usual = np.median(1 / np.abs(shares[shows, 0]))
-    return np.where(shows, 1 / np.where(shows, shares[:, 0], 1.0), np.copysign(usual, power))
+    usual = np.median(1 / np.abs(shares[shows])) if shows.any() else 1.0
+    return np.where(shows, 1 / np.where(shows, shares, 1.0), np.copysign(usual, power))
 
 
 def _usual(base: int, joints: Iterable[int]) -> list[int]:
