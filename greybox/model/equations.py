@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 
 from greybox.base import format_unit
+from greybox.base.texts import LINE_WIDTH
 from greybox.model.balance import Balance, stores_nothing
 from greybox.model.expressions.graph import as_scalar, nodes, walk
 from greybox.model.expressions.operations import operation_name
@@ -20,8 +21,6 @@ from greybox.model.system import System, intensity_unit
 
 Line = Callable[[str, str, str], str]  # name, unit, text -> one line of the equations
 
-# Letters of a line: a longer balance is written one term a line.
-WIDTH = 110
 # System -> text: models that share a system differ in values alone, of which the equations say nothing.
 _TEXTS: WeakKeyDictionary[System, str] = WeakKeyDictionary()
 
@@ -87,7 +86,7 @@ def _write_equations(model: Model) -> str:
 
     lines = []
     for balance, head in zip(system.stated_balances, heads, strict=False):
-        first, *rest = _balance(balance, WIDTH - indent)
+        first, *rest = _balance(balance, LINE_WIDTH - indent)
         lines += [line(*head, first), *(" " * indent + text for text in rest)]
     for d in sticking:
         unit = next(b.unit for b in system.balances if b.name == d.balance)
@@ -110,10 +109,10 @@ def _write_equations(model: Model) -> str:
             f"{i.name} {_bracketed(i.unit)}" + f" delayed by {delays[k]}" * bool(delays[k])
             for k, i in enumerate(model.inputs)
         ]
-        lines += _listed(line, "inputs", inputs, WIDTH - indent)
+        lines += _listed(line, "inputs", inputs, LINE_WIDTH - indent)
     outputs = system.outputs if system.stated_outputs is None else system.stated_outputs
     measured = [f"{o.name} {_bracketed(o.unit)} = {expression_text(outputs[k])}" for k, o in enumerate(model.outputs)]
-    lines += _listed(line, "outputs", measured, WIDTH - indent)
+    lines += _listed(line, "outputs", measured, LINE_WIDTH - indent)
     return "\n".join(lines)
 
 
@@ -166,10 +165,13 @@ def _storage(balance: Balance) -> str:
 
 
 def _listed(line: Line, head: str, items: Sequence[str], width: int) -> list[str]:
-    together = ",  ".join(items)
-    if len(together) <= width:
-        return [line(head, "", together)]
-    return [line(head if k == 0 else "", "", item) for k, item in enumerate(items)]
+    rows = [items[0]]
+    for item in items[1:]:
+        if len(rows[-1]) + len(item) + 3 <= width:
+            rows[-1] += f",  {item}"
+        else:
+            rows.append(item)
+    return [line(head if k == 0 else "", "", row) for k, row in enumerate(rows)]
 
 
 # What a model states, as a value that a result keeps: how a result is joined with a model, and how finished work is known.

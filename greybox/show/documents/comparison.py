@@ -6,6 +6,8 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from greybox.base import document as doc
 from greybox.base import format_unit
 from greybox.base.numerics import TINY
@@ -15,7 +17,7 @@ from greybox.estimation.result import Fit
 from greybox.show.documents.fit import OPEN_RECORDS, not_drawn
 from greybox.show.documents.tables import parameters_table, provenance_section, typeset_equations, worst_first
 from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
-from greybox.show.figures.figure import stretches_on_page
+from greybox.show.figures.figure import scale_to_prefix, stretches_on_page
 from greybox.show.sentences import sentence, sentences, wording
 
 
@@ -189,14 +191,17 @@ def _error_tables(comparison: Comparison, group: str) -> Iterator[doc.TableBlock
 def _error_table(comparison: Comparison, group: str, output: str) -> doc.TableBlock:
     scores = {e.name: s for e in comparison.standing if (s := e.score(output, group)) is not None}
     steps = sorted({k for s in scores.values() for k in s.ahead_rmse})
+    sizes = [s.rmse for s in scores.values() if math.isfinite(s.rmse)]
+    # The prefix of the middle one: a model that runs away does not choose it.
+    factor, unit = scale_to_prefix(comparison.outputs[output], np.array([np.median(sizes)] if sizes else []))
     rows = [
         [
             name,
             str(comparison[name].kind),
-            _error(s.rmse),
+            _error(factor * s.rmse),
             f"{s.best_fit_percent:.2f} %" if math.isfinite(s.best_fit_percent) else "-",
-            _error(s.one_step_rmse),
-            *(_error(s.ahead_rmse.get(k, math.nan)) for k in steps),
+            _error(factor * s.one_step_rmse),
+            *(_error(factor * s.ahead_rmse.get(k, math.nan)) for k in steps),
         ]
         for name, s in sorted(
             scores.items(), key=lambda item: item[1].rmse if math.isfinite(item[1].rmse) else math.inf
@@ -204,7 +209,6 @@ def _error_table(comparison: Comparison, group: str, output: str) -> doc.TableBl
     ]
     counts = [str(n) for n in sorted({s.samples for s in scores.values()})]
     unequal = ": not the same for every model" if len(counts) != 1 else ""
-    unit = format_unit(comparison.outputs[output])
     return doc.TableBlock(
         f"{output}, {'estimation' if group == 'training' else group} records, {wording.join_names(counts)} rows{unequal}",
         ["model", "box", "free run", "best fit", "one step", *(f"{k} ahead" for k in steps)],

@@ -186,9 +186,11 @@ def fit_notes(fit: Fit) -> list[doc.Text]:
         known.add(EstimationCode.RESIDUAL_CORRELATED)  # said below the parameters
     findings = [f for f in tables.worst_first(fit.findings) if f.code not in known]
     notes: list[doc.Text] = [f for f in findings if f.severity is not Severity.NOTE]
-    if undetermined := _undetermined(fit):
-        notes.insert(0, f"not determined, the 95 % interval exceeds half the value: {join_names(undetermined)}")
-    notes += [f for f in fit.findings if f.code == EstimationCode.DIRECTION_UNDETERMINED]
+    directions = [f for f in fit.findings if f.code == EstimationCode.DIRECTION_UNDETERMINED]
+    # Constants that can change together have no interval, and a sentence of their own.
+    if wide := [name for name in _undetermined(fit) if not any(name in f.values["direction"] for f in directions)]:
+        notes.insert(0, f"not determined, the 95 % interval exceeds half the value: {join_names(wide)}")
+    notes += directions
     if fit.success and fit.uncertainty.free and not fit.validation:
         notes.append("not validated: give a second record")
     return [*notes, *(f for f in findings if f.severity is Severity.NOTE)]

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
-from greybox.base import format_unit
+from greybox.base import format_unit, texts
 from greybox.model import equations_text
 from greybox.model.effects.catalogue import AT
 from greybox.model.effects.roles import ROLES
@@ -31,7 +31,8 @@ def write_model(model: Model, *, in_full: bool = False) -> str:
     """Title, equations and parameters of a model; ``in_full`` with what stands behind the names of blocks."""
     title = f"{model.title}: {model.description}" if model.description else model.title
     parameters = ["  parameters", *_table([_row(q) for q in model.all_parameters])] if model.all_parameters else []
-    return "\n".join([title, equations_text(model, in_full=in_full), *parameters])
+    lines = texts.wrap(title, texts.LINE_WIDTH, "  ")
+    return "\n".join([*lines, equations_text(model, in_full=in_full), *parameters])
 
 
 def _row(parameter: Parameter) -> tuple[str, ...]:
@@ -50,10 +51,13 @@ def _row(parameter: Parameter) -> tuple[str, ...]:
 
 def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        ("    " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True) if width)).rstrip()
-        for row in rows
-    ]
+    indent = 4 + sum(width + 2 for width in widths[:-1] if width)
+    lines = []
+    for row in rows:
+        line = "    " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True) if width)
+        # Where a value comes from goes on below itself.
+        lines += texts.wrap(line.rstrip(), texts.LINE_WIDTH, " " * min(indent, texts.LINE_WIDTH - 30))
+    return lines
 
 
 # The catalogue of effects as text and as a page, and where its effects find a place in a model.

@@ -250,8 +250,8 @@ def test_errors_further_ahead_stand_on_the_page_of_a_comparison(good: gb.Fit) ->
     assert "Record bench.csv: output &#39;x&#39; has 40 gaps." in html
     assert ">7 ahead<" in html
     ahead = compared["arx"].validation["x"].ahead_rmse[7]
-    digits = f"{ahead:.4g}".partition("e")[0]
-    assert f"{digits}·10" in html
+    unit = re.search(r"ahead: rms errors in (\S+)\.<", html)[1]
+    assert f">{ahead * {'µm': 1e6, 'nm': 1e9}[unit]:#.4g}<" in html
 
 
 @pytest.mark.parametrize("kind", ["fit", "check", "simulation", "linear model"])
