@@ -19,21 +19,70 @@ static void rates_of(const struct context *c, const double *x, const double *u, 
     rates(&c->rates, x, u, c->p, f);
 }
 
-static void jacobian_of(const struct context *c, const double *x, const double *u, double (*j)[NX])
+/* The entries of df/dx. */
+static void jacobian_of(const struct context *c, const double *x, const double *u, double *entries)
 {
-    double entries[AT_LEAST_ONE(NJ)];
     jacobian(&c->jacobian, x, u, c->p, entries);
-    memset(j, 0, NX * sizeof *j);
-    for (int k = 0; k < NJ; k++)
-        j[JACOBIAN_ROW[k]][JACOBIAN_COLUMN[k]] = entries[k];
 }
 
-/* I - scale J = P' L U, rows exchanged for the largest pivot; whether it can be solved. */
-static int factorise(double scale, const double (*j)[NX], double (*m)[NX], int *pivot)
+static double larger(double a, double b)
 {
+    return a > b ? a : b;
+}
+
+/* I - scale J = L U: L below, U right of the diagonal, which is inverted. */
+struct matrix {
+    double m[NX][NX];
+    int pivot[NX], is_ordered;
+};
+
+#ifdef ORDERED
+/* By the entries alone, which the order PIVOTS keeps few: column PIVOTS[n] has those in rows BELOW, row PIVOTS[n] those in columns RIGHT.
+   Whether no diagonal is small beside what it divides, each row measured by its largest entry. */
+static int factorise_in_order(double scale, const double *entries, double (*m)[NX])
+{
+    double size[NX];
+    for (int n = 0; n < NX; n++) {
+        const int k = PIVOTS[n];
+        m[k][k] = 1;
+        for (int i = BELOW_START[n]; i < BELOW_START[n + 1]; i++)
+            m[BELOW[i]][k] = 0;
+        for (int l = RIGHT_START[n]; l < RIGHT_START[n + 1]; l++)
+            m[k][RIGHT[l]] = 0;
+    }
+    for (int e = 0; e < NJ; e++)
+        m[JACOBIAN_ROW[e]][JACOBIAN_COLUMN[e]] -= scale * entries[e];
     for (int i = 0; i < NX; i++)
-        for (int k = 0; k < NX; k++)
-            m[i][k] = (i == k) - scale * j[i][k];
+        size[i] = fabs(m[i][i]);
+    for (int e = 0; e < NJ; e++)
+        size[JACOBIAN_ROW[e]] = larger(size[JACOBIAN_ROW[e]], fabs(m[JACOBIAN_ROW[e]][JACOBIAN_COLUMN[e]]));
+    for (int n = 0; n < NX; n++) {
+        const int k = PIVOTS[n];
+        const double inverse = 1 / m[k][k], most = fabs(m[k][k]) / (SMALLEST_PIVOT * size[k]);
+        if (!(most > 0) || !isfinite(inverse))
+            return 0;
+        m[k][k] = inverse;
+        for (int i = BELOW_START[n]; i < BELOW_START[n + 1]; i++) {
+            double *row = m[BELOW[i]];
+            if (!(fabs(row[k]) <= most * size[BELOW[i]]))
+                return 0;
+            const double factor = row[k] *= inverse;
+            for (int l = RIGHT_START[n]; l < RIGHT_START[n + 1]; l++)
+                row[RIGHT[l]] -= factor * m[k][RIGHT[l]];
+        }
+    }
+    return 1;
+}
+#endif
+
+/* In any order, rows exchanged for the largest pivot. */
+VECTORISED static int factorise_by_exchange(double scale, const double *entries, double (*m)[NX], int *pivot)
+{
+    memset(m, 0, NX * sizeof *m);
+    for (int k = 0; k < NX; k++)
+        m[k][k] = 1;
+    for (int e = 0; e < NJ; e++)
+        m[JACOBIAN_ROW[e]][JACOBIAN_COLUMN[e]] -= scale * entries[e];
     for (int k = 0; k < NX; k++) {
         int best = k;
         for (int i = k + 1; i < NX; i++)
@@ -47,7 +96,7 @@ static int factorise(double scale, const double (*j)[NX], double (*m)[NX], int *
                 const double other = m[k][l];
                 m[k][l] = m[best][l], m[best][l] = other;
             }
-        const double inverse = 1 / m[k][k];
+        const double inverse = m[k][k] = 1 / m[k][k];
         for (int i = k + 1; i < NX; i++) {
             if (m[i][k] == 0)
                 continue;
@@ -59,48 +108,81 @@ static int factorise(double scale, const double (*j)[NX], double (*m)[NX], int *
     return 1;
 }
 
+/* Whether it can be solved. */
+static int factorise(double scale, const double *entries, struct matrix *a)
+{
+#ifdef ORDERED
+    if ((a->is_ordered = factorise_in_order(scale, entries, a->m)))
+        return 1;
+#endif
+    return factorise_by_exchange(scale, entries, a->m, a->pivot);
+}
+
 /* b = M^-1 b, once for numbers and once for blocks of tangents. */
-#define SOLVE(NAME, TYPE, COUNT)                                                                                                           \
-    static void NAME(const double (*m)[NX], const int *pivot, TYPE *b)                                                                     \
+#define SOLVE_BY_EXCHANGE(NAME, TYPE, COUNT)                                                                                               \
+    VECTORISED static void NAME(const struct matrix *a, TYPE *b)                                                                           \
     {                                                                                                                                      \
         for (int k = 0; k < NX; k++)                                                                                                       \
             for (int c = 0; c < COUNT; c++) {                                                                                              \
                 const TYPE other = b[k * COUNT + c];                                                                                       \
-                b[k * COUNT + c] = b[pivot[k] * COUNT + c], b[pivot[k] * COUNT + c] = other;                                               \
+                b[k * COUNT + c] = b[a->pivot[k] * COUNT + c], b[a->pivot[k] * COUNT + c] = other;                                         \
             }                                                                                                                              \
         for (int i = 0; i < NX; i++)                                                                                                       \
             for (int k = 0; k < i; k++)                                                                                                    \
-                if (m[i][k] != 0)                                                                                                          \
-                    for (int c = 0; c < COUNT; c++)                                                                                        \
-                        b[i * COUNT + c] -= m[i][k] * b[k * COUNT + c];                                                                    \
+                for (int c = 0; c < COUNT; c++)                                                                                            \
+                    b[i * COUNT + c] -= a->m[i][k] * b[k * COUNT + c];                                                                     \
         for (int i = NX - 1; i >= 0; i--) {                                                                                                \
             for (int k = i + 1; k < NX; k++)                                                                                               \
-                if (m[i][k] != 0)                                                                                                          \
-                    for (int c = 0; c < COUNT; c++)                                                                                        \
-                        b[i * COUNT + c] -= m[i][k] * b[k * COUNT + c];                                                                    \
+                for (int c = 0; c < COUNT; c++)                                                                                            \
+                    b[i * COUNT + c] -= a->m[i][k] * b[k * COUNT + c];                                                                     \
             for (int c = 0; c < COUNT; c++)                                                                                                \
-                b[i * COUNT + c] /= m[i][i];                                                                                               \
+                b[i * COUNT + c] *= a->m[i][i];                                                                                            \
         }                                                                                                                                  \
     }
-SOLVE(solve, double, 1)
+#define SOLVE_IN_ORDER(NAME, TYPE, COUNT)                                                                                                  \
+    static void NAME(const struct matrix *a, TYPE *b)                                                                                      \
+    {                                                                                                                                      \
+        for (int n = 0; n < NX; n++)                                                                                                       \
+            for (int i = BELOW_START[n]; i < BELOW_START[n + 1]; i++)                                                                      \
+                for (int c = 0; c < COUNT; c++)                                                                                            \
+                    b[BELOW[i] * COUNT + c] -= a->m[BELOW[i]][PIVOTS[n]] * b[PIVOTS[n] * COUNT + c];                                         \
+        for (int n = NX - 1; n >= 0; n--) {                                                                                                \
+            const int k = PIVOTS[n];                                                                                                        \
+            for (int l = RIGHT_START[n]; l < RIGHT_START[n + 1]; l++)                                                                      \
+                for (int c = 0; c < COUNT; c++)                                                                                            \
+                    b[k * COUNT + c] -= a->m[k][RIGHT[l]] * b[RIGHT[l] * COUNT + c];                                                       \
+            for (int c = 0; c < COUNT; c++)                                                                                                \
+                b[k * COUNT + c] *= a->m[k][k];                                                                                            \
+        }                                                                                                                                  \
+    }
+SOLVE_BY_EXCHANGE(solve_by_exchange, double, 1)
+#ifdef ORDERED
+SOLVE_IN_ORDER(solve_in_order, double, 1)
+#endif
+
+static void solve(const struct matrix *a, double *b)
+{
+#ifdef ORDERED
+    if (a->is_ordered) {
+        solve_in_order(a, b);
+        return;
+    }
+#endif
+    solve_by_exchange(a, b);
+}
 
 /* What the error of a state is measured against: its present size, a small share of its largest, and a smaller one of the largest of the
    states in the same unit. Zero where none of them has moved yet. */
-static double scale_of(int i, double x, const double *size)
-{
-    double mates = 0;
-    for (int l = 0; l < NX; l++)
-        if (UNIT[l] == UNIT[i])
-            mates = fmax(mates, size[l]);
-    return fabs(x) + FLOOR * fmax(size[i], MATES * mates);
-}
-
 static void set_scales(const double *x, double *size, double *scale)
 {
+    double mates[NX];
+    memset(mates, 0, sizeof mates);
+    for (int i = 0; i < NX; i++) {
+        size[i] = larger(fabs(x[i]), size[i]);
+        mates[UNIT[i]] = larger(size[i], mates[UNIT[i]]);
+    }
     for (int i = 0; i < NX; i++)
-        size[i] = fmax(size[i], fabs(x[i]));
-    for (int i = 0; i < NX; i++)
-        scale[i] = scale_of(i, x[i], size);
+        scale[i] = fabs(x[i]) + FLOOR * larger(size[i], MATES * mates[UNIT[i]]);
 }
 
 /* Root mean square of the errors over what a step may make. A state that has no scale yet has that of its present rate over the step. */
@@ -119,7 +201,10 @@ static double measure(const double *error, const double *scale, const double *ra
 }
 
 #ifdef NB
-SOLVE(solve_lanes, v, NB)
+SOLVE_BY_EXCHANGE(solve_lanes_by_exchange, v, NB)
+#ifdef ORDERED
+SOLVE_IN_ORDER(solve_lanes_in_order, v, NB)
+#endif
 
 static void rates_along(const struct context *c, const double *x, const v *dx, const double *u, double *f, v *df)
 {
@@ -130,16 +215,22 @@ static void rates_along(const struct context *c, const double *x, const v *dx, c
    step, each of which runs through all lanes. */
 static void solve_stage(const struct context *c, const double *x, const v *base, double scale, const double *u, v *dk)
 {
-    static _Thread_local double j[NX][NX], m[NX][NX];
-    double f[NX];
-    int pivot[NX];
+    static _Thread_local struct matrix a;
+    double f[NX], entries[AT_LEAST_ONE(NJ)];
     rates_along(c, x, base, u, f, dk);
-    jacobian_of(c, x, u, j);
-    if (factorise(scale, (const double(*)[NX])j, m, pivot))
-        solve_lanes((const double(*)[NX])m, pivot, dk);
-    else
+    jacobian_of(c, x, u, entries);
+    if (!factorise(scale, entries, &a)) {
         for (int i = 0; i < NX * NB; i++)
             dk[i] = zero + NAN;
+        return;
+    }
+#ifdef ORDERED
+    if (a.is_ordered) {
+        solve_lanes_in_order(&a, dk);
+        return;
+    }
+#endif
+    solve_lanes_by_exchange(&a, dk);
 }
 #endif
 
@@ -150,10 +241,9 @@ EXPORT long integrate(long n, int is_even, double tolerance, const double *is_li
                       const double *x0, const double *dp_lanes, const double *dx0_lanes, double *carry, double *xs, double *dxs,
                       long *work)
 {
-    static _Thread_local double j[NX][NX], m[NX][NX];
-    double x[NX], k[STAGES][NX], stage[STAGES][NX], base[NX], trial[NX], error[NX], ui[STAGES][AT_LEAST_ONE(NU)], scale[NX];
+    static _Thread_local struct matrix a;
+    double j[AT_LEAST_ONE(NJ)], x[NX], k[STAGES][NX], stage[STAGES][NX], base[NX], trial[NX], error[NX], ui[STAGES][AT_LEAST_ONE(NU)], scale[NX];
     double *const size = carry + 1;
-    int pivot[NX];
     double next = carry[0], factored = NAN, before = 1;
     int jacobian_is_fresh = 0, has_jacobian = 0;
     long steps_left = MOST_STEPS + STEPS_AN_INTERVAL * n;
@@ -204,7 +294,7 @@ EXPORT long integrate(long n, int is_even, double tolerance, const double *is_li
                 has_jacobian = jacobian_is_fresh = 1, factored = NAN, work[2]++;
             }
             if (GAMMA * step != factored) {
-                factored = factorise(GAMMA * step, (const double(*)[NX])j, m, pivot) ? GAMMA * step : NAN;
+                factored = factorise(GAMMA * step, j, &a) ? GAMMA * step : NAN;
                 work[3]++;
             }
             int is_good = factored == GAMMA * step, is_slow = 0;
@@ -225,7 +315,7 @@ EXPORT long integrate(long n, int is_even, double tolerance, const double *is_li
                     rates_of(&c, stage[s], ui[s], k[s]);
                     for (int i = 0; i < NX; i++)
                         trial[i] = base[i] + GAMMA * step * k[s][i] - stage[s][i];
-                    solve((const double(*)[NX])m, pivot, trial);
+                    solve(&a, trial);
                     for (int i = 0; i < NX; i++)
                         stage[s][i] += trial[i];
                     const double change = measure(trial, scale, k[0], step, tolerance), ratio = change / last;
@@ -248,7 +338,7 @@ EXPORT long integrate(long n, int is_even, double tolerance, const double *is_li
                         error[i] += step * LESS[s] * k[s][i];
                 }
                 /* A stiff mode, which the method damps, is no error. */
-                solve((const double(*)[NX])m, pivot, error);
+                solve(&a, error);
                 wrong = measure(error, scale, k[0], step, tolerance);
             }
             if (!(wrong <= 1)) {
@@ -285,7 +375,7 @@ EXPORT long integrate(long n, int is_even, double tolerance, const double *is_li
                 next = growth > KEPT_GROWTH || growth < 1 ? step * fmin(fmax(growth, 0.2), 6) : step;
             else if (growth * step > next) /* cut short by the end of the interval */
                 next = fmin(growth, 6) * step;
-            has_jacobian = !is_slow && NX > FEW_STATES;
+            has_jacobian = !is_slow && !IS_FRESH_EACH_STEP;
             jacobian_is_fresh = 0;
         }
     }

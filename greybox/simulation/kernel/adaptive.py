@@ -49,6 +49,11 @@ SLOW = 0.2
 DIVERGING = 0.9
 # States up to which each step has a Jacobian of its own: it costs no more than the iterations that it saves.
 FEW_STATES = 12
+# Share of the products of a full elimination up to which the entries that are no zeros are eliminated by themselves: each is looked up.
+FEW_PRODUCTS = 0.25
+# A diagonal so much smaller than what it divides is left to an elimination that exchanges rows: what it would leave of the others is
+# rounding by that factor.
+SMALLEST_PIVOT = 1e-3
 
 
 class AdaptiveKernel(KernelInParts):
@@ -74,12 +79,15 @@ class AdaptiveKernel(KernelInParts):
         rates, outputs = step.adaptive.rates(x, u, p), step.outputs(x, u, p)
         by_state = ca.jacobian(rates, x)
         self._rates = ca.Function("rates", [x, u, p], [ca.densify(rates)])
-        self._jacobian = ca.Function("jacobian", [x, u, p], [ca.densify(ca.vertcat(*by_state.nonzeros()))])
+        self._jacobian = ca.Function("jacobian", [x, u, p], [_list_entries(by_state)])
         self._places = [np.array(part, int) for part in by_state.sparsity().get_triplet()]
+        self._elimination = plan_elimination(self.sizes.nx, *self._places)
         slopes = [rates, by_state, ca.jacobian(rates, p)]
         self._slopes = ca.Function("slopes", [x, u, p], [ca.densify(e) for e in slopes])
-        slopes = [outputs, ca.jacobian(outputs, x), ca.jacobian(outputs, p)]
-        self._outputs = ca.Function("outputs", [x, u, p], [ca.densify(e) for e in slopes])
+        self._outputs = ca.Function("outputs", [x, u, p], [ca.densify(outputs)])
+        slopes = [ca.jacobian(outputs, along) for along in (x, p)]
+        self._output_slopes = ca.Function("output_slopes", [x, u, p], [_list_entries(e) for e in slopes])
+        self._output_places = [tuple(np.array(part, int) for part in e.sparsity().get_triplet()) for e in slopes]
         # The number of each state's unit.
         units = list(step.adaptive.units)
         self._units = [units.index(unit) for unit in units]
@@ -90,6 +98,11 @@ class AdaptiveKernel(KernelInParts):
         self._compile(0)
 
     name = "adaptive"
+
+    @property
+    def is_fresh_each_step(self) -> bool:
+        """Whether each step has a Jacobian of its own."""
+        return self._elimination is not None or self.sizes.nx <= FEW_STATES
 
     @property
     def description(self) -> str:
@@ -113,7 +126,7 @@ class AdaptiveKernel(KernelInParts):
             xs, dxs = np.full((end - start, nx), np.nan), np.zeros((end - start, nx, directions))
             run = self._run if self.is_compiled and self._compile(arguments.directions) else self._run_by_numpy
             run(record.u[start:end], h, record.is_linear, arguments, x, dx, carry, xs, dxs)
-            y = self._map(0, xs[:count], record.u[start : start + count], arguments.p)
+            (y,) = self._map(self._outputs, xs[:count], record.u[start : start + count], arguments.p)
             yield RecordPart(start, xs[:count], y, dxs[:count])
             x, dx, start = xs[-1].copy(), dxs[-1].copy(), start + count
 
@@ -122,18 +135,21 @@ class AdaptiveKernel(KernelInParts):
         rows = slice(part.start, part.start + len(part.x))
         # r = (y_measured - y) w and dr = -w (dy/dx S + dy/dp dp).
         r = (record.y[rows] - part.y) * arguments.weight
-        ny, nx, count = self.sizes.ny, self.sizes.nx, len(part.x)
-        by_state = self._map(1, part.x, record.u[rows], arguments.p).reshape(count, nx, ny).transpose(0, 2, 1)
-        by_parameter = self._map(2, part.x, record.u[rows], arguments.p).reshape(count, self.sizes.np, ny)
-        along = by_state @ part.tangents + by_parameter.transpose(0, 2, 1) @ arguments.dp
+        along = np.zeros((*r.shape, arguments.directions))
+        moved = part.tangents, np.broadcast_to(arguments.dp, (len(r), *arguments.dp.shape))
+        entries = self._map(self._output_slopes, part.x, record.u[rows], arguments.p)
+        for (row, column), values, tangents in zip(self._output_places, entries, moved, strict=True):
+            slopes = np.zeros((*r.shape, tangents.shape[1]))
+            slopes[:, row, column] = values
+            along += slopes @ tangents
         return r, -arguments.weight[:, None] * along
 
-    def _map(self, which: int, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """One result of the output equations for each row: (n, its entries column by column)."""
+    def _map(self, function: ca.Function, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
+        """The results of a ``function`` whose results are columns, for each row: (n, entries of a result)."""
         count = len(x)
-        results = call_function(self._outputs.map(count), x.T, u.T, np.broadcast_to(p, (count, len(p))).T)
+        results = call_function(function.map(count), x.T, u.T, np.broadcast_to(p, (count, len(p))).T)
         # CasADi lays the results of the rows side by side.
-        return results[which].T.reshape(count, -1)
+        return [result.T.reshape(count, -1) for result in results]
 
     def _run(
         self,
@@ -219,12 +235,19 @@ class AdaptiveKernel(KernelInParts):
             **{"FIRST_SHARE": FIRST_SHARE, "MOST_STEPS": MOST_STEPS, "STEPS_AN_INTERVAL": STEPS_AN_INTERVAL},
             **{"SMALLEST_STEP": SMALLEST_STEP, "FIRST_STEP": FIRST_STEP, "SAFETY": SAFETY},
             **{"KEPT_GROWTH": KEPT_GROWTH, "MOST_ITERATIONS": MOST_ITERATIONS, "NEWTON_SHARE": NEWTON_SHARE},
-            **{"SLOW": SLOW, "DIVERGING": DIVERGING, "FEW_STATES": FEW_STATES},
+            **{"SLOW": SLOW, "DIVERGING": DIVERGING, "SMALLEST_PIVOT": SMALLEST_PIVOT},
+            "IS_FRESH_EACH_STEP": int(self.is_fresh_each_step),
         }
         if blocks:
             constants |= {"W": width, "NB": blocks}
         arrays = {"int JACOBIAN_ROW": row, "int JACOBIAN_COLUMN": column, "double NODES": esdirk.NODES}
         arrays |= {"int UNIT": np.array(self._units), "double LESS": esdirk.LESS, "double TABLE": esdirk.TABLE.ravel()}
+        if self._elimination is not None:
+            constants["ORDERED"] = 1
+            arrays["int PIVOTS"] = np.array(self._elimination.order)
+            for name, parts in (("BELOW", self._elimination.below), ("RIGHT", self._elimination.right)):
+                arrays[f"int {name}_START"] = np.cumsum([0, *map(len, parts)])
+                arrays[f"int {name}"] = np.concatenate(parts)
         inputs = ("x", "u", "p")
         tapes = {name: read_tape(f, active=(), varying=(0, 1)) for name, f in self._plain_functions().items()}
         routines = [CRoutine(name, fuse_products(simplify_tape(t)), inputs, (), 0).text() for name, t in tapes.items()]
@@ -251,6 +274,41 @@ class AdaptiveKernel(KernelInParts):
 
     def _plain_functions(self) -> dict[str, ca.Function]:
         return {"rates": self._rates, "jacobian": self._jacobian}
+
+
+class Elimination(NamedTuple):
+    """The order in which unknowns are eliminated; for each the rows that hold it then, and the columns that its own row holds then."""
+
+    order: list[int]
+    below: list[np.ndarray]
+    right: list[np.ndarray]
+
+
+def plan_elimination(n: int, row: np.ndarray, column: np.ndarray) -> Elimination | None:
+    """How ``n`` equations with entries at ``row``, ``column`` and the diagonal are solved with few products; None where few are full ones.
+
+    Each time the unknown whose elimination makes the fewest entries (H. M. Markowitz, Management Science 3, 1957), of the diagonal alone.
+    """
+    held, left = np.eye(n, dtype=bool), np.ones(n, bool)
+    held[row, column] = True
+    plan = Elimination([], [], [])
+    for _ in range(n):
+        counts = (held[left].sum(axis=0) - 1.0) * (held[:, left].sum(axis=1) - 1.0)
+        k = int(np.argmin(np.where(left, counts, np.inf)))
+        left[k] = False
+        below, right = np.flatnonzero(held[:, k] & left), np.flatnonzero(held[k] & left)
+        held[np.ix_(below, right)] = True
+        plan.order.append(k)
+        plan.below.append(below)
+        plan.right.append(right)
+    products = sum(len(b) * len(r) for b, r in zip(plan.below, plan.right, strict=True))
+    # A full one takes the squares of n - 1, n - 2, ..., 1.
+    return plan if products <= FEW_PRODUCTS * n * (n - 1) * (2 * n - 1) / 6 else None
+
+
+def _list_entries(matrix: ca.SX) -> ca.SX:
+    """The entries of a sparse matrix in a column, in the order of its triplets."""
+    return ca.densify(ca.vertcat(*matrix.nonzeros()))
 
 
 def _layout(directions: int) -> tuple[int, int]:
@@ -359,7 +417,7 @@ class _NumpyRun:
                 self.carry[0] = min(growth, 6) * step
             if done >= length:
                 return x, dx
-            jacobian, is_fresh = (None if is_slow or len(x) <= FEW_STATES else jacobian), False
+            jacobian, is_fresh = (None if is_slow or self.kernel.is_fresh_each_step else jacobian), False
         return None
 
     def _solve_stages(

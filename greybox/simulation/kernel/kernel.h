@@ -7,6 +7,12 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 #define INLINE static inline __attribute__((always_inline))
+/* Loops over rows of matrices, in vector instructions also where the rest is compiled in a hurry. */
+#if defined(__GNUC__) && !defined(__clang__)
+#define VECTORISED __attribute__((optimize("tree-vectorize")))
+#else
+#define VECTORISED
+#endif
 /* What a loop over a record needs beside its arguments: nothing where sizes and routines are compiled in. */
 #ifndef CONTEXT
 #define CONTEXT
