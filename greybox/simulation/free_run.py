@@ -58,7 +58,8 @@ def run_freely(
     )
     kernel = make_kernel(step, ())
     y, x = _run(kernel, step, record, p, x0)
-    for _ in range(0 if substeps or step.per_interval else policy.max_halvings):
+    is_settled = bool(substeps or step.per_interval)
+    for _ in range(0 if is_settled else policy.max_halvings):
         # Some ten states along the run: the first guess saw the start alone, and a mode may become fast on the way.
         visited = x[np.isfinite(x).all(axis=1)][:: max(1, len(x) // 10)]
         longest = float(record.lengths.max(initial=0.0))
@@ -76,11 +77,12 @@ def run_freely(
             )
             kernel = make_kernel(step, ())
         y, x = _run(kernel, step, record, p, x0)
-        if _has_settled(before, y, MAX_CHANGE):
+        if is_settled := _has_settled(before, y, MAX_CHANGE):
             break
-    # Explicit steps that were not enough where a mode became fast on the way, and implicit ones of one length that jumped out of the
-    # equations (a root of what is used up), say nothing of the model; steps that follow the error do.
-    is_lost = not (substeps or step.per_interval or step.adaptive or np.isfinite(y).all())
+    # Explicit steps that were not enough where a mode became fast on the way, whether their run ended there or went astray, and implicit
+    # ones of one length that jumped out of the equations (a root of what is used up), say nothing of the model; steps that follow the
+    # error do.
+    is_lost = not (substeps or step.per_interval or step.adaptive or (is_settled and np.isfinite(y).all()))
     stable = choose_implicit_method(model.system) if is_lost else ""
     if method == "automatic" and stable == ADAPTIVE:
         followed = run_freely(model, record, p, x0, method=stable, policy=policy)
