@@ -91,6 +91,9 @@ class OtherCourse:
     gain: float = 0.0
 
 
+# Loss that a step leaves, over what it gains, from which no second one is taken: what the curvature of a plant changes of the first, a few
+# per cent of its gain, brings no such loss back.
+NO_SECOND_STEP = 0.25
 # Draws of the noise of inputs, each with both signs: standard deviations by them are right within 25 % (one over the root of 2 n).
 INPUT_NOISE_DRAWS = 8
 # Twice the logarithm of the odds by which the records have to miss the fastest part of an input for its noise to be one that acted.
@@ -255,12 +258,12 @@ class Optimum(ABC):
             if not (np.isfinite(evaluation.cost) and evaluation.is_finite):
                 break
             limits = low - gone, high - gone
-            gone, gain = (
-                gone + evaluation.bounded_step(*limits),
-                cost - evaluation.cost + evaluation.predicted_decrease(*limits),
-            )
+            promised = evaluation.predicted_decrease(*limits)
+            gone, gain = gone + evaluation.bounded_step(*limits), cost - evaluation.cost + promised
             if result is None or gain > result[1]:
                 result = (gone - step)[: len(variables.which)] * variables.spans, float(gain)
+            if gain < -NO_SECOND_STEP * promised:
+                break
         return result
 
     @property

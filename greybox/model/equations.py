@@ -23,6 +23,7 @@ Line = Callable[[str, str, str], str]  # name, unit, text -> one line of the equ
 
 # System -> text: models that share a system differ in values alone, of which the equations say nothing.
 _TEXTS: WeakKeyDictionary[System, str] = WeakKeyDictionary()
+_EXACTLY: WeakKeyDictionary[System, dict[str, str]] = WeakKeyDictionary()
 
 
 def equations_text(model: Model, *, in_full: bool = False) -> str:
@@ -207,7 +208,9 @@ def declare(model: Model) -> dict[str, str]:
     lines |= {f"record of {e.name}": f"{e.name} holds {e.hold}, late {e.late}" for e in model.effects if e.is_of_record}
     if model.identity:
         return lines | {"plant": f"plant {model.identity}"}
-    return lines | dict(_declare_exactly(system))
+    if system not in _EXACTLY:
+        _EXACTLY[system] = dict(_declare_exactly(system))
+    return lines | _EXACTLY[system]
 
 
 # What the equations do not show, which are written with six digits and the names of blocks, is kept under keys that begin with this.
