@@ -233,6 +233,9 @@ def fit(
                 model, estimate_by_simulation_error(problem, options, colour, report)
             )
             optimum = begun
+            # Other starts are compared by the steps that the search took: at explicit ones a stiff model runs from few of them.
+            if begun.solution.problem.step.adaptive:
+                problem = problem.with_steps_of(begun.solution.problem)
             # One that goes on from where another ended is not to end elsewhere.
             if model.free_parameters and begun.status is not TerminationStatus.INTERRUPTED and not initial:
                 trouble = find_trouble(begun, problem, with_effects is None and options.other_starts > 0)
@@ -609,7 +612,10 @@ def _try_other_starts(
             ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, options, colour, report)))
             begins.append(near[k])
             ratios.append(compute_ratio(ends[-1].evaluation.cost, ends[-1].misfit, problem.noise))
-            if ends[-1].status is TerminationStatus.INTERRUPTED:
+            # Nothing is left to find where only noise that something tells is left.
+            if ends[-1].status is TerminationStatus.INTERRUPTED or (
+                problem.noise.is_level_known and is_at_noise(ends[-1])
+            ):
                 break
         best = ends[int(np.argmin(ratios))]
         if ends[-1].status is TerminationStatus.INTERRUPTED or not explains_nothing(best):

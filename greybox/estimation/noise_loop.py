@@ -21,6 +21,7 @@ from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
 from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Termination, TerminationPolicy, TerminationStatus
 from greybox.estimation.options import ColourTreatment, FitOptions, LossKind, RobustLoss, Transcription
+from greybox.estimation.parameter_constancy import NOISE_RATIO
 from greybox.estimation.result_parts import RobustReport
 from greybox.estimation.sandwich import LEAST_LEVEL_READINGS, estimate_residual_colour
 from greybox.estimation.transcription.collocation import solve_collocation
@@ -34,7 +35,12 @@ from greybox.estimation.transcription.problem import (
     Runs,
     Solution,
 )
-from greybox.estimation.transcription.select import select_transcription, shorten_steps, try_free_run
+from greybox.estimation.transcription.select import (
+    TranscriptionChoice,
+    select_transcription,
+    shorten_steps,
+    try_free_run,
+)
 from greybox.estimation.transcription.shooting_cost import PlantShooting
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
 from greybox.simulation.kernel.record import Record
@@ -60,13 +66,43 @@ def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCa
         elif choice.transcription is Transcription.ARCS:
             return solve_multiple_shooting(choice, options, report)
         else:
-            is_multiple = choice.transcription is Transcription.MULTIPLE
-            solution = (solve_multiple_shooting if is_multiple else solve_collocation)(choice, options, report)
-            solution = finish_by_simulation_error(solution, options, report)
+            solution = _solve_joined(choice, options, report)
     # A search of whole records at one step has kept its start itself.
     if solution.is_single and not options.progressive and solution.problem.step is problem.step:
         return solution
     return keep_best(solution, problem.variables, options, report)
+
+
+def _solve_joined(choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None) -> Solution:
+    """The optimum by segments or collocation.
+
+    Of a stiff model a free run costs a tenth of segments: where they were chosen, it is searched for first, and handed out where it
+    leaves nothing but noise, or less than they do.
+    """
+    free = None
+    if choice.reason is not None and choice.problem.step.adaptive:
+        free = solve_single_shooting(choice.problem, replace(options, progressive=False), report)
+        free = replace(free, strategy=choice.follow_freely().to_strategy(**free.strategy.values))
+        if free.status is TerminationStatus.INTERRUPTED or is_at_told_noise(free):
+            return free
+    is_multiple = choice.transcription is Transcription.MULTIPLE
+    solution = (solve_multiple_shooting if is_multiple else solve_collocation)(choice, options, report)
+    solution = finish_by_simulation_error(solution, options, report)
+    if free is None:
+        return solution
+    # Segments that failed, or do not meet, have no cost to compare: the search goes on from them (`keep_best`).
+    is_better = free.status.success and free.evaluation.cost <= (
+        solution.evaluation.cost if solution.is_run else np.inf
+    )
+    return free.with_work_of(solution) if is_better else solution.with_work_of(free)
+
+
+def is_at_told_noise(solution: Solution) -> bool:
+    """Whether every output is followed to its noise, and something tells that."""
+    noise, evaluation = solution.problem.noise, solution.evaluation
+    if any(noise.sources.get(name) is NoiseSource.RESIDUAL for name in noise.outputs):
+        return False
+    return bool(np.all(evaluation.squares <= NOISE_RATIO**2 * evaluation.counts))
 
 
 def keep_best(

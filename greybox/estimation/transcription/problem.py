@@ -182,6 +182,10 @@ class EstimationProblem:
         step = replace(self.step, substeps=substeps)
         return replace(self, step=step, kernel=self.kernel.with_substeps(substeps))
 
+    def with_steps_of(self, other: EstimationProblem) -> EstimationProblem:
+        """The same with the steps of another problem of its model."""
+        return replace(self, method=other.method, step=other.step, kernel=other.kernel)
+
     def with_stable_steps(self) -> EstimationProblem:
         """The same with steps that follow the error in place of implicit ones of one length, where the model is smooth."""
         method = choose_implicit_method(self.model.system, written_out=self.written_out)

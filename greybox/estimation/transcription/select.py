@@ -40,6 +40,15 @@ class TranscriptionChoice:
         reason_values = {} if self.reason is None else dict(self.reason.values)
         return make_strategy(self.transcription, reason=code, reason_values=reason_values, **values)
 
+    def follow_freely(self) -> TranscriptionChoice:
+        """Single shooting in place of the segments that were chosen."""
+        assert self.reason is not None
+        return replace(
+            self,
+            transcription=Transcription.SINGLE,
+            reason=replace(self.reason, code=TranscriptionReason.FREE_RUN_FOLLOWS),
+        )
+
 
 def select_transcription(problem: EstimationProblem, options: FitOptions) -> TranscriptionChoice:
     """The transcription that was asked for, else the one that suits the model and the longest record at the start values.
@@ -101,11 +110,7 @@ def try_free_run(choice: TranscriptionChoice, options: FitOptions) -> Transcript
         search, low, high, policy.damped, steps=TRIAL_STEPS, while_predicted=True
     ):
         return choice
-    return replace(
-        choice,
-        transcription=Transcription.SINGLE,
-        reason=replace(reason, code=TranscriptionReason.FREE_RUN_FOLLOWS),
-    )
+    return choice.follow_freely()
 
 
 class TranscriptionProposal(NamedTuple):
