@@ -409,6 +409,8 @@ def match_columns(
             " time,u,x)"
         )
     problems += _describe_missing(missing, model, spare, inputs_only, are_named)
+    if are_named:  # whoever names the columns in their order says their units, too
+        matched = {s: replace(c, known=UnitSource.TOLD) if c.unit else c for s, c in matched.items()}
     doubts: list[str] = []
     # Dates need no unit; the one of their column may say how they are written.
     matched = {
@@ -484,24 +486,12 @@ def propose_columns(
 
 
 # Words that say of a name that its numbers count something (adc_counts): no reading in volts is called so.
-_COUNTS = frozenset(
-    (
-        "count",
-        "counts",
-        "cnt",
-        "cnts",
-        "cts",
-        "tick",
-        "ticks",
-        "pulses",
-        "lsb",
-        "lsbs",
-        "adc",
-        "adu",
-        "inc",
-        "incs",
-        "codes",
-        "digits",
+_COUNTS, _ROWS = (
+    frozenset(words.split())
+    for words in (
+        "count counts cnt cnts cts tick ticks pulses lsb lsbs adc adu inc incs codes digits px pixel pixels",
+        # ... and of a time, that it counts rows.
+        "frame frames sample samples index idx row rows record scan step steps n nr no id",
     )
 )
 # Endings that are words of names as well (x_min, p_bar): they ask nothing where they are of another quantity.
@@ -527,13 +517,19 @@ def _settle_unit(
             return reading
     endings = [r.unit for r in readings if column.name.lower().endswith(r.unit.lower()) or r.unit in "%‰"]
     other = [unit for unit in endings if unit.lower() not in _WORDS and (len(unit) > 1 or unit in "%°‰")]
+    counted = ""
     if not converts("1", signal.unit):
-        other += [word for word in re.split(r"[\W_\d]+", column.name.lower()) if word in _COUNTS]
-    if is_chosen and other:
-        how = _explain_mapping(signal, replace(column, unit=signal.unit or "1"), are_named)
+        counts = _COUNTS | _ROWS if signal.kind is SignalKind.TIME else _COUNTS
+        counted = next((word for word in re.split(r"[\W_\d]+", column.name.lower()) if word in counts), "")
+    if is_chosen and (other or counted):
+        how, one = (
+            _explain_mapping(signal, replace(column, unit=unit), are_named)
+            for unit in (signal.unit or "1", f"0.01 {signal.unit}")
+        )
         problems.append(
-            f"column {shorten(column.header)!r} for {signal.label} names {other[0]}, a unit of another quantity; choose another"
-            f" column, or {how} if its numbers are in {signal.unit or 1}"
+            f"column {shorten(column.header)!r} for {signal.label} names {[*other, counted][0]}, a unit of another quantity; choose"
+            f" another column, or {how} if its numbers are in {signal.unit or 1}"
+            + (f"; if one is 0.01 {signal.unit}, {one}" if counted and not other else "")
         )
     return column
 

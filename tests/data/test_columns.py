@@ -331,6 +331,21 @@ def test_a_percent_format_is_seen_however_late_its_numbers_begin(tmp_path, empty
     assert read_arrays(tmp_path / "run.xlsx", model).outputs["u"][-1] == pytest.approx(25)
 
 
+@pytest.mark.parametrize("header", ["frame", "Sample", "index", "Frame No", "n", "idx", "step_nr"])
+def test_a_time_that_counts_rows_is_asked_what_one_is(tmp_path, header):
+    path = tmp_path / "run.csv"
+    path.write_text(f"{header},x [V]\n0,100\n1,120\n2,140\n")
+    model = SimpleNamespace(name="any", inputs=(), outputs=(Output("x", "V"),), stated_parameters=())
+    with pytest.raises(DataError, match=r"a unit of another quantity.*if one is 0\.01 s") as asked:
+        read_arrays(path, model, columns={"time": header})
+    assert f"'time [0.01*s]': {header!r}" in str(asked.value)
+    for key, step in (("time [s/30]", 1 / 30), ("time [0.01*s]", 0.01), ("time [s]", 1.0)):
+        assert read_arrays(path, model, columns={key: header}).time == pytest.approx(step * np.arange(3))
+    # Whoever names all columns says it in the same words.
+    named = read_arrays(path, model, columns=["time [s/30]", "x [0.1 V]"])
+    assert named.time[1] == pytest.approx(1 / 30) and named.outputs["x"][0] == pytest.approx(10)
+
+
 @pytest.mark.parametrize("header", ["adc_counts", "lsb", "Encoder Ticks", "inc_raw", "ADC0"])
 def test_a_column_of_counts_is_no_reading_in_a_unit(tmp_path, header):
     (tmp_path / "run.csv").write_text(f"time [s],{header}\n0,100\n1,120\n2,140\n")
