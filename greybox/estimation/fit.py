@@ -64,6 +64,7 @@ from greybox.estimation.reading_errors import find_mistaken_units, find_reading_
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import (
+    Completion,
     EstimationProblem,
     FitProgressCallback,
     make_strategy,
@@ -454,9 +455,10 @@ def _refine_for_constants(
     for _ in range(policy.halvings):
         solution = optimum.solution
         step = solution.problem.step
-        if not optimum.status.success or solution.joined or options.substeps or step.substeps >= policy.max_substeps:
+        if not optimum.status.success or options.substeps or step.substeps >= policy.max_substeps:
             break
-        if not find_step_issues(optimum):
+        # Segments whose run one simulation does not give, and arcs, have been refined as far as their search could.
+        if not find_step_issues(optimum) or options.arc_length or not solution.is_free_run():
             break
         problem = solution.at_optimum
         finer = problem.with_stable_steps() if options.method == "automatic" else problem
@@ -464,7 +466,10 @@ def _refine_for_constants(
         again = solve_single_shooting(finer, replace(options, progressive=False), report).with_work_of(solution)
         if not again.status.success:
             break
-        optimum = SimulationOptimum(optimum.model, replace(again, strategy=solution.strategy, shares=solution.shares))
+        again = replace(again, strategy=solution.strategy, shares=solution.shares)
+        optimum = SimulationOptimum(
+            optimum.model, again.with_strategy(completion=str(Completion.FREE_RUN)) if solution.joined else again
+        )
     return optimum
 
 

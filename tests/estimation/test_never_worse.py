@@ -318,6 +318,18 @@ def test_steps_on_which_constants_depend_are_made_shorter_or_told():
     assert "With half the integration step the parameters change" in coarse.solver.status_message
 
 
+@pytest.mark.rest
+def test_segments_at_steps_that_are_too_long_go_on_by_a_free_run_with_shorter_ones():
+    """Segments end with some doublings of their steps: constants were left three standard deviations off, and worse than they began."""
+    model, record = driven(0.3, 4.0, 6.0, 2.0, period=0.2)
+    found = check_no_worse(model, record, transcription="multiple", method="midpoint")
+    assert max(found.discretisation.shift.values()) < 0.1
+    assert found.solver.strategy.values["completion"] == Completion.FREE_RUN
+    exact = fit(model, record, options=FitOptions(at_rest=True, method="rk4", substeps=64))
+    for name, constant in exact.parameters.items():
+        assert abs(found.parameters[name].value - constant.value) < 0.2 * constant.std
+
+
 def test_ctrl_c_among_other_starts_keeps_what_is_found(monkeypatch):
     model, record = driven(0.3, 4.0, 6.0, 2.0)
     options = FitOptions(at_rest=True, transcription="single", progressive=False)

@@ -705,7 +705,7 @@ def _write_strategy(finding: Finding) -> str:
     if v.get("held_samples"):
         text += f"; {v['held_samples']} samples lie at a bound of a state"
     text += {
-        "free_run": "; then a free run from that result, as the noise model or the cost requires",
+        "free_run": "; then a free run from that result, as the noise model, the cost or the steps require",
         "white_noise": (
             "; the noise is assumed to be white, because a free run does not follow this plant; the intervals allow for its colour"
         ),

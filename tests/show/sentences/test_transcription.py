@@ -77,7 +77,7 @@ STRATEGIES = [
         "collocation-radau",
         {"held_samples": 3, "reason": "", "completion": "free_run"},
         "direct collocation, as requested; 3 samples lie at a bound of a state; then a free run from that result, as the noise"
-        " model or the cost requires",
+        " model, the cost or the steps require",
     ),
     (
         "arcs",
