@@ -194,12 +194,14 @@ def identify_robot(
     left = torques[0] - torques[2]
     # Of white noise the differences have twice its squares (von Neumann, Annals of Mathematical Statistics 12, 1941).
     roughness = np.nansum(np.diff(left, axis=0) ** 2, axis=0) / np.maximum(2 * np.nansum(left**2, axis=0), 1e-300)
-    rough = {j.name: r for j, r in zip(base.robot.axes, roughness, strict=True)}
-    lost = [j.joint for j in joints if j.final > LOST_SHARE * j.torque and rough[j.joint] < ROUGH]
+    smooth = {j.name for j, r in zip(base.robot.axes, roughness, strict=True) if r < ROUGH}
+    lost = [j.joint for j in joints if j.final > LOST_SHARE * j.torque and j.joint in smooth]
     # A small torque that is followed to the noise of its sensor is no other one.
-    shares = {j.joint: LOST_SHARE if rough[j.joint] > ROUGH else STRANGE_SHARE for j in joints}
-    strange = [j.joint for j in joints if j.final > shares[j.joint] * j.torque]
-    # Of a torque that is lost nothing is certain, and it takes part in what is said of the rigid bodies; gains compare all joints.
+    strange = [j.joint for j in joints if j.final > (STRANGE_SHARE if j.joint in smooth else LOST_SHARE) * j.torque]
+    # Of a torque that is lost nothing is certain, and it takes part in what is said of the rigid bodies; gains compare all joints. Where
+    # half of several joints are not followed, the bodies that the others are followed with are none.
+    if 2 * len(smooth.intersection(strange)) >= max(len(joints), 3):
+        lost = [j.joint for j in joints]
     effects = [
         replace(e, grade=Grade.PROBABLE) if e.joint in (*lost, *guessed) or (strange and e.kind == GAIN.name) else e
         for e in (*answer.list_effects(), *inertias)

@@ -74,6 +74,14 @@ def test_a_drive_that_moves_little_beside_its_friction_keeps_a_constant(tmp_path
     assert elbow.grade is Grade.ESTABLISHED and abs(elbow.value - 0.3) < 4 * elbow.std
 
 
+def test_currents_without_a_sign_give_no_certainty(arm: Robot) -> None:
+    log = as_currents(joint_log(**HIDDEN))
+    unsigned = {n: np.abs(v) if n.startswith("i") else v for n, v in log.outputs.items()}
+    found = identify_robot(arm, gb.Experiment("log", log.time, {}, unsigned))
+    assert found.verdict is RigidVerdict.OTHER and not [e for e in found.effects if e.grade is Grade.ESTABLISHED]
+    assert [f.values["joints"] for f in found.findings if f.code == "robot_not_followed"] == [["shoulder", "elbow"]]
+
+
 def test_one_known_constant_or_one_torque_closes_the_level(arm: Robot) -> None:
     log = joint_log(payload=0.4, **HIDDEN)
     known = identify_robot(arm, as_currents(log), torque_constants={"shoulder": 2.5})
