@@ -74,7 +74,12 @@ def is_numerical(error: Exception) -> bool:
     if not isinstance(error, ValueError):
         return isinstance(error, NUMERICAL_ERRORS)
     is_plain = type(error) is ValueError and "NaN" not in str(error)  # a singular matrix is a class of NumPy's
-    return not (is_plain and _package_of(error, but="numpy") == _OWN)
+    return not (is_plain and is_raised_here(error))
+
+
+def is_raised_here(error: Exception) -> bool:
+    """Whether a line of this library raised an error, or NumPy called there: not a function that a user wrote."""
+    return _package_of(error, but="numpy") == _OWN
 
 
 def is_own_bug(error: Exception) -> bool:

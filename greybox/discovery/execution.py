@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from greybox.base.errors import FitError, GreyboxError, is_numerical
+from greybox.base.errors import FitError, GreyboxError, is_numerical, is_raised_here
 from greybox.base.files import add_entry, read_journal
 from greybox.base.interrupts import hold_interrupts
 from greybox.base.json_file import find_offence
@@ -108,7 +108,8 @@ class FailureLog:
             return run()
         except Exception as error:
             # While a candidate is prepared, functions of an effect that a user wrote run: they may raise anything.
-            if stage is not SearchStage.PREPARATION and not is_numerical(error):
+            is_of_user = stage is SearchStage.PREPARATION and not is_raised_here(error)
+            if not (is_of_user or is_numerical(error)):
                 raise
             self.add(stage, effects, reason_of(error))
             return fallback

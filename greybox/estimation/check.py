@@ -25,7 +25,6 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model import Input, Model, Parameter, State
 from greybox.model.effects import Placement, all_effects, find_placements
-from greybox.model.sites import STORE
 from greybox.simulation.kernel.interpreted import InterpretedKernel
 from greybox.simulation.plant import Plant, as_model
 
@@ -162,19 +161,13 @@ class ModelCheck(Printable, StoredResult):
     @property
     def roles(self) -> dict[str, dict[str, str]]:
         """``states``, ``inputs`` and ``parameters`` of the plant that have a role, by name."""
-        model = self.model
+        model, roles = self.model, self.model.roles
         groups: dict[str, Sequence[State | Input | Parameter]] = {
             "states": model.states,
             "inputs": model.inputs,
             "parameters": model.parameters,
         }
-        roles = {group: {item.name: item.role for item in items if item.role} for group, items in groups.items()}
-        # A body's velocity and displacement are found by their balances.
-        by_balance = {
-            name: role for site in reversed(model.sites) for role, name in site.states.items() if name and role != STORE
-        }
-        states = by_balance | roles["states"]
-        return roles | {"states": {s.name: states[s.name] for s in model.states if s.name in states}}
+        return {group: {i.name: roles[i.name] for i in items if i.name in roles} for group, items in groups.items()}
 
     @property
     def failure(self) -> Finding | None:

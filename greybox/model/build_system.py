@@ -25,8 +25,8 @@ from greybox.model.effect import (
 )
 from greybox.model.expressions.operations import UnitMismatchError
 from greybox.model.expressions.text import infer_unit
-from greybox.model.signals import NamedValues, State
-from greybox.model.sites import PlaceKind, Site, list_sites, require_site
+from greybox.model.signals import Input, NamedValues, State
+from greybox.model.sites import PlaceKind, Site, complete_roles, list_sites, require_site
 from greybox.model.system import (
     DryFrictionTerm,
     EffectEquations,
@@ -65,11 +65,7 @@ def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
             raise ModelError(
                 f"model {statement.name!r} already has the effect {effect.name!r}; an effect can be added once"
             )
-        site = (
-            require_site(effect.name, effect.site, statement.name, plant.sites, statement.inputs)
-            if effect.site
-            else NOWHERE
-        )
+        site = require_site(effect.name, effect.site, statement.name, plant.sites) if effect.site else NOWHERE
         _check_place(effect, site, plant.relations)
         units = plant.units | _unit_words(site.units)
         words = {word: unit for word, unit in units.items() if site.states.get(word) != ""}
@@ -109,10 +105,13 @@ def _check_place(effect: EffectEquations, site: Site, relations: Mapping[str, st
 class PlantEquations:
     """What a plant states itself, the same whatever effects are added to it.
 
-    ``sites``: where effects may act; ``relations``: balance that stores nothing -> its state; ``units``: what the words in the units of an
-    effect stand for; ``written``: every line that its functions state, by its place.
+    ``inputs``, ``parameters``: these with the roles that a balance tells; ``sites``: where effects may act; ``relations``: balance that
+    stores nothing -> its state; ``units``: what the words in the units of an effect stand for; ``written``: every line that its functions
+    state, by its place.
     """
 
+    inputs: tuple[Input, ...]
+    parameters: tuple[ParameterSymbol, ...]
     sites: tuple[Site, ...]
     relations: Mapping[str, str]
     units: dict[str, str]
@@ -137,10 +136,13 @@ def _read_plant(plant: Statement) -> PlantEquations:
     validation.check_expressions(plant)
     written = _write_plant(plant)
     balances = plant.balances(*_plant_symbols(plant))
+    inputs, parameters = complete_roles(plant.states, plant.inputs, plant.parameters, balances)
     return PlantEquations(
-        list_sites(plant.states, plant.inputs, plant.outputs, balances),
+        inputs,
+        parameters,
+        list_sites(plant.states, inputs, plant.outputs, balances),
         {b.name: b.state for b in balances if stores_nothing(b)},
-        _units_by_word(plant, balances),
+        _units_by_word(plant._replace(inputs=inputs, parameters=parameters), balances),
         written,
     )
 
@@ -578,7 +580,8 @@ def build_checked_system(statement: Statement, asked: WeakSet[Callable[..., Any]
     Raises ModelError for names that clash or are unknown and for balances or outputs that are no expressions, UnitError for a term whose
     unit is not its balance's.
     """
-    written = read_plant(statement).written
+    plant = read_plant(statement)
+    written, statement = plant.written, statement._replace(inputs=plant.inputs, parameters=plant.parameters)
     system = build_system(statement)
     unit_check.check_units(statement, system)
     functions = [function for effect in statement.effects for function in effect if callable(function)]

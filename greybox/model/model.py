@@ -16,9 +16,10 @@ from greybox.model import balance, build_system, validation
 from greybox.model.effect import Effect
 from greybox.model.parts import check_parts
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
-from greybox.model.sites import Site
+from greybox.model.sites import STORE, Site
 from greybox.model.system import (
     BoundEffect,
+    ParameterSymbol,
     Statement,
     System,
     check_process_noise,
@@ -154,6 +155,15 @@ class Model(Printable):
     def sites(self) -> tuple[Site, ...]:
         """Every balance, input and output of the plant as a place where effects may act."""
         return build_system.read_plant(self.statement).sites
+
+    @cached_property
+    def roles(self) -> Mapping[str, str]:
+        """Name -> role of the states, inputs and parameters that have one: told, or found by their balances."""
+        plant = build_system.read_plant(self.statement)
+        # A body's velocity and displacement are found by their balances.
+        found = {name: role for s in reversed(plant.sites) for role, name in s.states.items() if name and role != STORE}
+        items: tuple[State | Input | ParameterSymbol, ...] = (*self.states, *plant.inputs, *plant.parameters)
+        return found | {item.name: item.role for item in items if item.role}
 
     @property
     def all_states(self) -> tuple[State, ...]:

@@ -5,6 +5,9 @@ of its state a speed. Likewise a state in A whose balance is in V is a current, 
 with a balance in m^3/s a level. So every body of a drive train may have friction, whatever its balance is called. Seen from a site the
 roles ``velocity`` and ``displacement`` mean the body there; a displacement is the state whose rate is that velocity.
 
+Inputs and parameters have a role without being told where a balance tells it: the only one with the unit of a temperature in the balance of
+a temperature is that of the surroundings, the only one in ohm in the balance of a current its resistance (`complete_roles`).
+
 A relation (a balance that stores nothing) of forces is a force as well, where its motion is known: the velocity it is solved for; the one
 whose rate is the acceleration it is solved for; of one solved for a force the only input with the role ``velocity``; or what
 `Balance.moving` says.
@@ -14,14 +17,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import casadi as ca
 
 from greybox.base import MissingNameError, ModelError, nearest, parse_unit
 from greybox.model.balance import Balance, stores_nothing
 from greybox.model.signals import Input, Output, State
+
+if TYPE_CHECKING:
+    from greybox.model.system import ParameterSymbol
 
 MOTION, STORE, PRESSURE, HEAT, VOLTAGE, ANGLE, SHAFT, FIRST_INPUT, DRIVE, VALVE, SENSOR = (
     *("force", "store", "pressure", "heat", "voltage", "angle", "shaft"),
@@ -70,6 +77,8 @@ class Site:
         Role -> input, likewise.
     units
         Word -> unit, for the units of the effect's parameters.
+    role
+        Of an input, its role.
     """
 
     name: str
@@ -78,6 +87,7 @@ class Site:
     states: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    role: str = ""
 
     @property
     def is_motion(self) -> bool:
@@ -141,14 +151,13 @@ def list_sites(
         sites.append(Site(b.name, PlaceKind.BALANCE, labels[b.name], roles, driven, units))
     for i in inputs:
         words = (FIRST_INPUT, DRIVE, VALVE)
-        sites.append(
-            Site(i.name, PlaceKind.INPUT, i.name, {}, dict.fromkeys(words, i.name), dict.fromkeys(words, i.unit))
-        )
+        named, units = dict.fromkeys(words, i.name), dict.fromkeys(words, i.unit)
+        sites.append(Site(i.name, PlaceKind.INPUT, i.name, {}, named, units, i.role))
     sites += [Site(o.name, PlaceKind.OUTPUT, o.name, {}, {}, {SENSOR: o.unit}) for o in outputs]
     return tuple(sites)
 
 
-def find_sites(word: str, sites: Sequence[Site], inputs: Sequence[Input]) -> tuple[Site, ...]:
+def find_sites(word: str, sites: Sequence[Site]) -> tuple[Site, ...]:
     """The sites that ``word`` means, the one first that it means where only one is asked for.
 
     A balance, an input or an output of that name is meant first, but for words of the catalogue that mean another kind of place: a
@@ -166,15 +175,14 @@ def find_sites(word: str, sites: Sequence[Site], inputs: Sequence[Input]) -> tup
     elif word == SENSOR:
         meant = [s for s in sites if s.kind is PlaceKind.OUTPUT]
     else:
-        roles = {i.name: i.role for i in inputs}
-        meant = [s for s in sites if s.kind is PlaceKind.INPUT and _takes(word, roles[s.name])]
+        meant = [s for s in sites if s.kind is PlaceKind.INPUT and _takes(word, s.role)]
     first = named[:1]
     return (*first, *(s for s in meant if s not in first))
 
 
-def require_site(effect: str, word: str, model: str, sites: Sequence[Site], inputs: Sequence[Input]) -> Site:
+def require_site(effect: str, word: str, model: str, sites: Sequence[Site]) -> Site:
     """The site of an effect. Raises ModelError where the model has none, with what it needs."""
-    meant = find_sites(word, sites, inputs)
+    meant = find_sites(word, sites)
     if meant:
         return meant[0]
     remedy = f"it needs {NEEDED[word]}" if word in NEEDED else nearest(word, [s.name for s in sites])
@@ -185,6 +193,59 @@ def require_site(effect: str, word: str, model: str, sites: Sequence[Site], inpu
 
 def _takes(word: str, role: str) -> bool:
     return word == FIRST_INPUT or role == word or (word == DRIVE and not role)
+
+
+@dataclass(frozen=True)
+class _ToldRole:
+    """A role that a balance tells: that of the state it is of, whether it is what is stored there or stands in a term, and units."""
+
+    state: str
+    is_stored: bool
+    units: tuple[str, ...]
+
+
+ROLES_BY_BALANCE: Mapping[str, _ToldRole] = {
+    "ambient_temperature": _ToldRole("temperature", False, ("K",)),
+    "resistance": _ToldRole("current", False, ("ohm",)),
+    "inductance": _ToldRole("current", True, ("H",)),
+    "force_constant": _ToldRole("velocity", False, ("N/A", "N*m/A")),
+    # Where it is not the force constant itself, which has the role already.
+    "back_emf_constant": _ToldRole("current", False, ("V*s/m", "V*s/rad")),
+}
+
+
+def complete_roles(
+    states: Sequence[State], inputs: Sequence[Input], parameters: Sequence[ParameterSymbol], balances: Sequence[Balance]
+) -> tuple[tuple[Input, ...], tuple[ParameterSymbol, ...]]:
+    """Inputs and parameters with the roles that a balance tells: of those without a role the only one there with a unit of that role.
+
+    Whoever states a role himself, of whichever signal, is believed.
+    """
+    inputs, parameters = tuple(inputs), tuple(parameters)
+    by_name, motions = {s.name: s for s in states}, _find_motions(states, inputs, balances)
+    of_state = {
+        b.name: "velocity" if b.name in motions else by_name[b.state].role or _role_by_units(b, by_name[b.state])
+        for b in balances
+    }
+    for role, told in ROLES_BY_BALANCE.items():
+        every: tuple[Input | ParameterSymbol, ...] = (*inputs, *parameters)
+        if any(item.role == role for item in every):
+            continue
+        known = [parse_unit(unit).dimensions for unit in told.units]
+        bare = [item.name for item in every if not item.role and _has_dimensions(item.unit, known)]
+        if not bare:
+            continue
+        lines = [
+            ca.SX(b.storage) if told.is_stored else sum(map(ca.SX, b.terms.values()), ca.SX(0))
+            for b in balances
+            if of_state[b.name] == told.state
+        ]
+        used = {symbol.name() for symbol in ca.symvar(ca.SX(ca.vertcat(*lines)))}
+        found = [name for name in bare if name in used]
+        if len(found) == 1:
+            inputs = tuple(replace(i, role=role) if i.name in found else i for i in inputs)
+            parameters = tuple(q._replace(role=role) if q.name in found else q for q in parameters)
+    return inputs, parameters
 
 
 def _role_by_units(balance: Balance, state: State) -> str:

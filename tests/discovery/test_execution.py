@@ -1,12 +1,13 @@
 """Refits and their journal, with a problem that only counts."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from greybox.base.errors import DataError, ModelError
+from greybox.base.errors import DataError, ModelError, nearest
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.discovery.execution import FailureLog, RefitExecutor, RefitJob, RefitJournal, RefitOutcome, SearchStage
 from greybox.discovery.problem import DiscoveryProblem
@@ -120,3 +121,18 @@ def test_candidates_are_judged_by_what_follows_the_plain_model(monkeypatch, of_p
     problem.__dict__["baseline"] = SimpleNamespace(problem=None)
     assert problem.refit_options.transcription == expected
     assert problem.to_portable().options.transcription == expected
+
+
+def test_while_a_candidate_is_prepared_only_functions_of_users_may_raise_anything():
+    failures = FailureLog()
+
+    def write_own_effect():
+        raise KeyError("of a user's function")
+
+    assert failures.attempt(SearchStage.PREPARATION, ("own",), write_own_effect, "none") == "none"
+    with pytest.raises(KeyError):
+        failures.attempt(SearchStage.REFIT, ("own",), write_own_effect, "none")
+    # A sequence is asked for, in a line of the library.
+    with pytest.raises(TypeError):
+        failures.attempt(SearchStage.PREPARATION, ("own",), partial(nearest, "gain", None), "none")
+    assert set(failures.of_single_effects()) == {"own"}

@@ -332,7 +332,7 @@ def find_closing_constants(model: Model, names: Sequence[str], rank: ScaledDecom
     null, missing = rank.null_basis, rank.weak.shape[1]
     if not missing:
         return {}
-    easy = {q.name for q in model.free_parameters if q.role in EASILY_MEASURED}
+    easy = {q.name for q in model.free_parameters if model.roles.get(q.name) in EASILY_MEASURED}
     sets = find_closing_sets(null)
     if missing == 1:
         constants = [names[k] for (k,) in sorted(sets)]

@@ -237,7 +237,7 @@ def find_placements(model: Model, entries: tuple[Effect, ...]) -> list[Placement
 
 
 def _placements_of(model: Model, entry: Effect) -> list[Placement]:
-    places = find_sites(entry.site, model.sites, model.inputs)
+    places = find_sites(entry.site, model.sites)
     if not places:
         return [_try(model, entry, "")]
     one_place = entry.on_parameter or entry.on_term or entry.on_state or entry.on_storage

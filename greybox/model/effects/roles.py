@@ -113,7 +113,7 @@ ROLES: tuple[SignalRole, ...] = (
         "ambient_temperature",
         (RoleOwner.INPUT, RoleOwner.PARAMETER),
         ("K",),
-        "temperature to which heat is lost, on the scale of the state",
+        "temperature to which heat is lost, on the scale of the state. The only one in K in a heat balance has it without being told",
         "radiation, convection",
     ),
     SignalRole(
@@ -123,7 +123,14 @@ ROLES: tuple[SignalRole, ...] = (
         "acceleration of the frame from which the displacement counts",
         "second mode on a shaker",
     ),
-    SignalRole("resistance", _PARAMETER, ("ohm",), "resistance of a winding", "winding that warms, eddy currents"),
+    SignalRole(
+        "resistance",
+        _PARAMETER,
+        ("ohm",),
+        "resistance of a winding. The only one in ohm in the balance of a current has it without being told, as inductance and constants of"
+        " force and back EMF have theirs",
+        "winding that warms, eddy currents",
+    ),
     SignalRole("inductance", _PARAMETER, ("H",), "inductance of a winding", "saturating inductance"),
     SignalRole("force_constant", _PARAMETER, ("N/A", "N*m/A"), "force or torque per ampere", "droop, eddy currents"),
     SignalRole(

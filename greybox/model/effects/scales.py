@@ -204,7 +204,7 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
     for site in model.sites:
         at_site = _measure_site(site, columns, inputs, readings, balances, storages)
         sites |= {site.name: at_site, site.label: at_site}
-    bodies = [sites[site.name] for site in find_sites("force", model.sites, model.inputs)]
+    bodies = [sites[site.name] for site in find_sites("force", model.sites)]
     body = bodies[0] if bodies else SiteScales()
     stores = [s.store for s in sites.values() if s.store]
     shown = readings[system.output_names[0]]

@@ -101,7 +101,8 @@ Parameter("Ra", "ohm", 8.0, role="resistance")
 ```
 
 Most of it goes without: a balance in N or N m of a state in m/s or rad/s is that of a body, the state whose rate is this velocity its
-displacement; a balance in V of a state in A is that of a current, and so on; an input without a role is a drive.
+displacement; a balance in V of a state in A is that of a current, and so on; an input without a role is a drive. The only temperature
+among the inputs and parameters of a heat balance is the ambient one, the only constant in ohm in the balance of a current its resistance.
 
 `greybox check MODEL` shows the role of each signal, the effects that find a place, and what would open the others; `greybox effects
 MODEL` lists the same effect by effect. Several signals may have one role: each body has its own velocity, each tank its own level. Where

@@ -4,6 +4,7 @@ import ast
 import re
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -75,14 +76,72 @@ def test_what_would_open_a_place_is_told() -> None:
     assert describe_missing(placements["radiation_loss"]) == "a balance of a temperature (role `temperature`)"
     assert describe_missing(placements["valve_lag"]) == "an input with the role `valve`"
     assert placements["brush_drop"].site == "loop"  # volts and amperes tell
-    assert placements["saturating_inductance"].missing == ("parameter", "inductance")
-    assert describe_missing(placements["saturating_inductance"]) == "a parameter with the role `inductance`"
+    assert placements["saturating_inductance"].effect is not None  # the only constant in H in the balance of a current
+    assert placements["winding_heating"].missing == ("parameter", "resistance")
+    assert describe_missing(placements["winding_heating"]) == "a parameter with the role `resistance`"
+
+
+def heated(inputs: dict[str, str], temperatures: dict[str, str]) -> Model:
+    """A block that exchanges heat with a temperature for each input and each parameter, name -> stated role."""
+    return Model(
+        "block",
+        states=[State("T", "K", 300.0)],
+        inputs=[Input("P", "W"), *(Input(name, "K", role=role) for name, role in inputs.items())],
+        outputs=[Output("T", "K")],
+        parameters=[
+            *(Parameter("C", "J/K", 100.0), Parameter("h", "W/K", 0.5)),
+            *(Parameter(name, "K", 293.0, role=role) for name, role in temperatures.items()),
+        ],
+        balances=lambda x, u, p: [
+            Balance(
+                *("heat", "W", p.C, "T"),
+                heater=u.P,
+                **{f"to_{name}": p.h * (u[name] - x.T) for name in inputs},
+                **{f"to_{name}": p.h * (p[name] - x.T) for name in temperatures},
+            )
+        ],
+    )
+
+
+@pytest.mark.parametrize(
+    ("inputs", "temperatures", "ambient"),
+    [
+        ({}, {"Ta": ""}, ["Ta"]),
+        ({"outside": ""}, {}, ["outside"]),
+        ({}, {"Ta": "", "Tw": ""}, []),  # which of the two is open
+        ({"inlet": ""}, {"Ta": ""}, []),
+        ({"inlet": ""}, {"Ta": "ambient_temperature"}, ["Ta"]),  # who states it is believed
+        ({}, {}, []),
+    ],
+)
+def test_the_only_temperature_in_a_heat_balance_is_the_ambient_one(inputs, temperatures, ambient) -> None:
+    model = heated(inputs, temperatures)
+    assert [name for name, role in model.roles.items() if role == "ambient_temperature"] == ambient
+    (placed,) = find_placements(model, [gb.effect("radiation_loss")])
+    assert (placed.effect is not None) is bool(ambient)
+    # The loss by radiation is that to this temperature: kr (T^4 - Ta^4).
+    if ambient:
+        system = (model + gb.effect("radiation_loss")).system
+        assert ambient[0] in {s.name() for s in ca.symvar(ca.SX(system.balances[0].terms["radiation_loss"]))}
+
+
+def test_an_input_that_is_the_ambient_temperature_is_no_drive() -> None:
+    placed = find_placements(heated({"outside": ""}, {}), [gb.effect("drive_lag")])
+    assert [p.site for p in placed if p.effect] == ["P"]
+
+
+def test_constants_of_a_winding_are_told_by_their_units() -> None:
+    assert MOTOR.roles == {"w": "velocity", "i": "current", "L": "inductance", "k": "force_constant"}
 
 
 def test_a_check_tells_roles_places_and_what_lacks() -> None:
     found = check(MOTOR.fix("J", "L", "k"))
     data = found.as_dict()
-    assert data["roles"] == {"states": {"w": "velocity", "i": "current"}, "inputs": {}, "parameters": {}}
+    assert data["roles"] == {
+        "states": {"w": "velocity", "i": "current"},
+        "inputs": {},
+        "parameters": {"L": "inductance", "k": "force_constant"},
+    }
     assert {"name": "coulomb_friction", "site": "torque"} in data["effects"]
     lacking = {entry["name"]: entry["missing"] for entry in data["without_place"]}
     assert lacking["valve_lag"] == {"kind": "site", "name": "valve"}
