@@ -154,11 +154,16 @@ def _find_obstacle(model: Model, entry: Effect) -> Finding | None:
     return None
 
 
-# The effect that scales time, on a linear plant as free constants and a gain do; and the one that moves a reading, as other constants of
-# the catalogue do where nothing in the plant bends.
+# The effect that scales time, on a linear plant as free constants and a gain do; the one that moves a reading, as other constants of the
+# catalogue do where nothing in the plant bends; and linear terms that a plain model may have under another name.
 SKEW, OFFSET = "clock_skew", "sensor_offset"
 # By effect, those that are tried and together with free constants may do the same.
-ALIKE = {SKEW: tuple(GAINS), OFFSET: ("constant_load", "input_offset", "gravity_torque")}
+ALIKE = {
+    SKEW: tuple(GAINS),
+    OFFSET: ("constant_load", "input_offset", "gravity_torque"),
+    "heat_gain": ("input_offset",),
+    **dict.fromkeys(("viscous_damping", "heat_loss"), ()),
+}
 # Value at which what a scaling effect does is compared with what constants do: far from absent, where its slope by logarithm would vanish.
 SCALED_BY = 0.3
 

@@ -43,7 +43,7 @@ from greybox.model.effects.catalogue import effect as catalogue_effect
 # Constants from which an effect without memory is held against a power of its variable: so many imitate other simple laws.
 MANY_CONSTANTS = 3
 # Effects of the catalogue that add a constant, at an input and at a balance.
-CONSTANTS = ("input_offset", "constant_load")
+CONSTANTS = ("input_offset", "constant_load", "heat_gain")
 # Rates at which a linear path begins, between one sample and the whole record.
 PATH_RATES = 3
 # Iterations of a refit with such paths.

@@ -16,6 +16,7 @@ from greybox.estimation.options import FitOptions, Hessian, Transcription, resol
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem, Solution, guess_initial_states, prepare_problem
 from greybox.estimation.transcription.select import select_transcription
+from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
 from greybox.model import Model
 from greybox.simulation.kernel.record import Record
@@ -45,26 +46,54 @@ def determine_initial_states(problem: EstimationProblem, options: FitOptions, le
 
     Those are ``least`` rows, or 50, doubled until they do: a slow mode, or one that an output hardly shows, takes longer. The first
     rows are fitted with the error that the model has there, ``r``; along a direction of which they hold the share ``s`` of the
-    information the run then errs by ``r' r / s`` at most. Each longer stretch is fitted from the states of the shorter one, so that a
-    run which is sensitive to how it began is followed into the record rather than lost in it.
+    information the run then errs by ``r' r / s`` at most. A longer stretch is fitted from the states of a shorter one that follows the
+    readings, so that a run which is sensitive to how it began is followed into the record rather than lost in it.
     """
     rows = [min(least or FIRST_ROWS, _count_samples(r)) for r in problem.records]
     while True:
         problem = replace(problem, variables=fit_first_rows(problem, rows, options))
-        part = _initial_state_information(_cut_to_first_rows(problem, rows))
-        whole = _initial_state_information(problem)
-        more = []
-        for n, r, known, everything in zip(rows, problem.records, part, whole, strict=True):
-            # Least share of the information that the first rows hold along any direction: with W = F F' the least eigenvalue of
-            # F^+ P F^+'; zero where the run fails.
-            share = 0.0
-            if np.isfinite(everything).all() and np.isfinite(known).all():
-                root = np.linalg.pinv(decompose_symmetric(everything).without_doubtful().root)
-                share = float(np.linalg.eigvalsh(root @ known @ root.T).min(initial=1.0))
-            more.append(min(2 * n, _count_samples(r)) if share < INITIAL_STATE_SHARE else n)
-        if more == rows:
+        longer = _lengthen(problem, rows)
+        if longer == rows:
             return problem.variables
+        rows = longer
+
+
+# Mean square error over a doubled stretch, over that of the stretch that was fitted, from which the run has lost the readings: twice the
+# rms error.
+LOST_RATIO = 4.0
+
+
+def _lengthen(problem: EstimationProblem, rows: Sequence[int]) -> list[int]:
+    """The first rows that determine the initial states along the run from the present ones; no more than twice those that it follows."""
+    variables, counts = problem.variables, [_count_samples(r) for r in problem.records]
+    whole = _split_information(problem.shooting().evaluate(variables.here), variables)
+    fitted, rows = list(rows), list(rows)
+    most = np.inf
+    while True:
+        evaluation = _cut_to_first_rows(problem, rows).shooting().evaluate(variables.here)
+        error = evaluation.cost / max(evaluation.count, 1)
+        if rows == fitted:
+            most = LOST_RATIO * error if np.isfinite(error) else 0.0
+        elif not error <= most:
+            return rows
+        part = _split_information(evaluation, variables)
+        shares = [_measure_share(known, everything) for known, everything in zip(part, whole, strict=True)]
+        more = [
+            n if share >= INITIAL_STATE_SHARE else min(2 * n, count)
+            for n, share, count in zip(rows, shares, counts, strict=True)
+        ]
+        if more == rows:
+            return rows
         rows = more
+
+
+def _measure_share(known: np.ndarray, everything: np.ndarray) -> float:
+    """Least share of the information ``everything`` that ``known`` holds along any direction; zero where the run fails."""
+    if not (np.isfinite(everything).all() and np.isfinite(known).all()):
+        return 0.0
+    # With W = F F' the least eigenvalue of F^+ P F^+'.
+    root = np.linalg.pinv(decompose_symmetric(everything).without_doubtful().root)
+    return float(np.linalg.eigvalsh(root @ known @ root.T).min(initial=1.0))
 
 
 def fit_first_rows(problem: EstimationProblem, rows: Sequence[int], options: FitOptions) -> DecisionVector:
@@ -73,12 +102,10 @@ def fit_first_rows(problem: EstimationProblem, rows: Sequence[int], options: Fit
     return noise_loop.estimate_by_simulation_error(_cut_to_first_rows(problem, rows), single).variables
 
 
-def _initial_state_information(problem: EstimationProblem) -> list[np.ndarray]:
+def _split_information(evaluation: Evaluation, variables: DecisionVector) -> list[np.ndarray]:
     """Information (states, states) of each record on its initial state where it is guessed; the constants are known."""
-    variables = problem.variables
-    information = problem.shooting().evaluate(variables.here).hessian
-    columns = [variables.columns(e) for e in range(len(problem.records))]
-    return [information[np.ix_(c, c)] for c in columns]
+    columns = [variables.columns(e) for e in range(len(variables.initial.guess))]
+    return [evaluation.hessian[np.ix_(c, c)] for c in columns]
 
 
 def _count_samples(record: Record) -> int:

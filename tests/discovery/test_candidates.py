@@ -7,6 +7,7 @@ import pytest
 
 import greybox as gb
 from fits.measured_rigs import falling_ball, pendulum, rotor
+from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError
 from greybox.discovery.candidates import failed_candidates, family_of, list_candidates
 from greybox.discovery.execution import NOT_SIMULATED, FailureLog, SearchStage
@@ -96,7 +97,8 @@ def test_without_a_list_of_its_own_nothing_is_left_out_by_one():
     tried = {e.name.partition("_at_")[0] for e in listed.effects}
     assert "asymmetric_friction" in placed and "asymmetric_friction" not in tried
     assert Code.NOT_A_CANDIDATE not in {finding.code for finding in listed.not_tried.values()}
-    for name in placed - tried:  # each that has a place and is not tried is told with what is tried in its stead
+    assert set(listed.not_tried["viscous_damping"].values["constants"]) == {"b"}
+    for name in placed - tried - {"viscous_damping"}:  # each of the others is told with what is tried in its stead
         assert listed.not_tried[name].code == Code.TRIED_AS_OTHERS
         assert set(listed.not_tried[name].values["others"]) <= tried
 
@@ -109,21 +111,74 @@ def list_for(model):
     return {e.name for e in listed.effects}, listed.not_tried
 
 
+def rooms(count):
+    """Rooms in a row: the first is heated, the last loses heat to the outside."""
+    rooms = range(1, count + 1)
+
+    def balances(x, u, p):
+        walls = {k: p[f"h_{k}"] * (x[f"T{k}"] - (x[f"T{k + 1}"] if k < count else p.Ta)) for k in rooms}
+        return [
+            Balance(
+                *(f"room_{k}", "W", p[f"C_{k}"], f"T{k}"),
+                **({"heater": u.P} if k == 1 else {"wall": walls[k - 1]}),
+                out=-walls[k],
+            )
+            for k in rooms
+        ]
+
+    return Model(
+        "rooms",
+        states=[State(f"T{k}", "K", 293.0) for k in rooms],
+        inputs=[Input("P", "W")],
+        outputs=[Output(f"T{k}", "K") for k in rooms],
+        parameters=[
+            *(Parameter(f"C_{k}", "J/K", 5e4, (1e3, 1e6)) for k in rooms),
+            *(Parameter(f"h_{k}", "W/K", 20.0, (1.0, 1e3)) for k in rooms),
+            Parameter("Ta", "K", 283.0, fixed=True),
+        ],
+        balances=balances,
+    )
+
+
 @pytest.mark.rest
 @pytest.mark.parametrize(
     ("model", "tried", "taken", "as_others"),
     [
         # Written by hand: w' = kt (1 + g) u - b w - c is the same with kt (1 + g) in the place of kt.
-        (rotor(), set(), {"input_gain": {"kt"}, "sensor_gain": {"kt", "c"}, "clock_skew": {"kt", "b", "c"}}, {}),
+        (
+            rotor(),
+            set(),
+            {
+                "input_gain": {"kt"},
+                "sensor_gain": {"kt", "c"},
+                "clock_skew": {"kt", "b", "c"},
+                "viscous_damping": {"b"},
+            },
+            {},
+        ),
         # J w' = (1 + g) tau - m g l sin(q): all of J, m g l and b over 1 + g. The sine is the scale of the sensor.
-        (pendulum(), {"sensor_gain"}, {"input_gain": {"J", "mgl", "b"}, "clock_skew": {"J", "b"}}, {}),
+        (
+            pendulum(),
+            {"sensor_gain"},
+            {"input_gain": {"J", "mgl", "b"}, "clock_skew": {"J", "b"}, "viscous_damping": {"b"}},
+            {},
+        ),
         # With J and m g l known the torque has a scale, and so has time: sqrt(m g l / J).
         (pendulum().fix("J", "mgl"), {"input_gain", "sensor_gain", "clock_skew"}, {}, {}),
         (pendulum().prior(J=(0.147, 0.003), mgl=(2.98, 0.03)), {"input_gain", "sensor_gain", "clock_skew"}, {}, {}),
         # h'' = -g: (1 + e)^2 on g is what a scale of the height does.
-        (falling_ball(), {"sensor_gain"}, {}, {"clock_skew": {"sensor_gain"}}),
+        (falling_ball(), {"sensor_gain", "viscous_damping"}, {}, {"clock_skew": {"sensor_gain"}}),
+        # One heated room: what it loses has a constant already, and an offset of the heater is a gain from elsewhere.
+        (rooms(1), set(), {"heat_loss": {"h_1"}}, {"heat_gain": {"input_offset"}}),
+        # The second one is heated through the wall alone, and the first loses nothing to the outside.
+        (
+            rooms(2),
+            {"heat_loss", "heat_gain_at_room_2"},
+            {"heat_loss_at_room_2": {"h_2"}},
+            {"heat_gain": {"input_offset"}},
+        ),
     ],
-    ids=["rotor", "pendulum", "known pendulum", "weighed pendulum", "falling ball"],
+    ids=["rotor", "pendulum", "known pendulum", "weighed pendulum", "falling ball", "room", "rooms"],
 )
 def test_a_scale_that_the_constants_can_take_is_not_tried(model, tried, taken, as_others):
     names, not_tried = list_for(model)

@@ -38,6 +38,7 @@ CATALOGUE: tuple[Effect, ...] = (
     *rotation.ROTATION,
     *electrical.THERMAL,
     *signal_path.SIGNAL_PATH,
+    *electrical.HEAT_SOURCES,
     *signal_path.BETWEEN_SAMPLES,
 )
 reserve(ExtensionKind.EFFECTS, (entry.name for entry in CATALOGUE))

@@ -183,6 +183,42 @@ def _convection(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.c * excess * (excess**2 + p.least**2) ** 0.125
 
 
+heat_loss = Effect(
+    "heat_loss",
+    site="heat",
+    parameters=[amplitude_parameter("G", "{force}/{temperature}", "conductance to the ambient temperature", low=0.0)],
+    terms=lambda x, u, p: -p.G * (x.temperature - _ambient(u, p)),
+    equation="-G (T - Ta)",
+    parity="linear",
+    tells_apart=(
+        "Hold several powers until the temperature stands still: the power over the excess temperature is the same at all of them; a sensor"
+        " that reads too much shows the same, and a second thermometer tells."
+    ),
+    source="law of cooling of Newton; VDI Heat Atlas, part C",
+    amplitudes=("G",),
+    probe=lambda s: {"G": s.visible_force / s.peaks["temperature"]},
+    occurs=Occurrence.COMMON,
+)
+
+heat_gain = Effect(
+    "heat_gain",
+    site="heat",
+    parameters=[
+        amplitude_parameter("Q0", "{force}", "constant heat from elsewhere (sun, people, losses), either sign")
+    ],
+    terms=lambda x, u, p: p.Q0,
+    equation="+Q0",
+    parity="even",
+    tells_apart=(
+        "Switch the heater off for long: what stays warmer than the ambient temperature is heated by something else, or its thermometer"
+        " reads too much; a second thermometer tells."
+    ),
+    source="internal and solar gains of a zone: ISO 52016-1",
+    amplitudes=("Q0",),
+    probe=lambda s: {"Q0": s.visible_force},
+    occurs=Occurrence.COMMON,
+)
+
 # Zero of the Celsius scale (K).
 ZERO_CELSIUS = 273.15
 # A temperature whose peak is below this is in degrees Celsius: nothing that is modelled here runs that cold in kelvin.
@@ -283,4 +319,6 @@ heat_storage = Effect(
     occurs=Occurrence.USUAL,
 )
 
-THERMAL: tuple[Effect, ...] = (radiation_loss, natural_convection, heat_storage)
+THERMAL: tuple[Effect, ...] = (heat_loss, radiation_loss, natural_convection, heat_storage)
+HEAT_SOURCES: tuple[Effect, ...] = (heat_gain,)
+"""After the effects of inputs: at a body that is heated an offset of its input is the same."""

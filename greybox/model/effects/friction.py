@@ -177,6 +177,22 @@ lugre_friction = Effect(
     occurs_with={"seal": Occurrence.COMMON, "free": Occurrence.EXOTIC},
 )
 
+viscous_damping = Effect(
+    "viscous_damping",
+    site="force",
+    parameters=[amplitude_parameter("B1", "{force}/{velocity}", "damping force over velocity", low=0.0)],
+    terms=lambda x, u, p: -p.B1 * x.velocity,
+    equation="-B1 v",
+    parity="linear",
+    tells_apart=(
+        "Let it coast: under viscous damping the speed falls by equal ratios in equal times, under dry friction along a straight line."
+    ),
+    source="shear in a film of lubricant, force proportional to the speed (Newton)",
+    amplitudes=("B1",),
+    probe=lambda s: {"B1": s.visible_force / s.velocity},
+    occurs=Occurrence.COMMON,
+)
+
 quadratic_damping = Effect(
     "quadratic_damping",
     site="force",
@@ -303,6 +319,7 @@ FRICTION: tuple[Effect, ...] = (
     coulomb_friction,
     stribeck_friction,
     lugre_friction,
+    viscous_damping,
     quadratic_damping,
     load_dependent_friction,
     asymmetric_friction,

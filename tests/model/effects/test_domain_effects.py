@@ -50,6 +50,8 @@ def thermal(loss: Callable[[float, float], float]) -> Rate:
 
 
 THERMAL = {
+    "heat_loss": ({"G": 0.3}, lambda T, z: 0.3 * (T - 20)),
+    "heat_gain": ({"Q0": 9.0}, lambda T, z: -9.0),
     "radiation_loss": ({"kr": 2e-9}, lambda T, z: 2e-9 * ((T + 273.15) ** 4 - 293.15**4)),
     "natural_convection": ({"c": 0.3, "least": 1e-4}, lambda T, z: 0.3 * copysign(abs(T - 20) ** 1.25, T - 20)),
     "heat_storage": ({"g": 0.6, "tau_g": 90.0}, lambda T, z: 0.6 * (T - z)),
@@ -68,23 +70,30 @@ def test_heat_flows_as_by_small_steps(name: str) -> None:
     assert np.abs(expected - plain).max() > 0.03 * np.ptp(plain)
 
 
-def two_mass(torque: Callable[[float], float]) -> Rate:
+def two_mass(torque: Callable[[float, float], float]) -> Rate:
     def rate(x, T):
         a1, w1, a2, w2 = x
         shaft = 8 * (a1 - a2) + 5e-3 * (w1 - w2)
-        return [w1, (T - 1e-2 * w1 - shaft) / 1.5e-3, w2, (shaft - 1e-2 * w2 + torque(a2)) / 3e-3]
+        return [w1, (T - 1e-2 * w1 - shaft) / 1.5e-3, w2, (shaft - 1e-2 * w2 + torque(a2, w2)) / 3e-3]
 
     return rate
 
 
-def test_a_weight_at_the_load_pulls_as_by_small_steps() -> None:
+@pytest.mark.parametrize(
+    ("name", "values", "torque"),
+    [
+        ("gravity_torque", {"Gs": 0.2, "Gc": 0.05}, lambda a, w: -0.2 * sin(a) - 0.05 * cos(a)),
+        ("viscous_damping", {"B1": 0.02}, lambda a, w: -0.02 * w),
+    ],
+)
+def test_a_load_is_pulled_and_braked_as_by_small_steps(name, values, torque) -> None:
     T = steps(2, 400, -0.3, 0.3)
-    expected = run_small_steps(two_mass(lambda a: -0.2 * sin(a) - 0.05 * cos(a)), [0.0] * 4, T, 2e-3)
-    base = plant("two_mass")
-    model = base + place_effect(effect("gravity_torque"), "load")
-    model = model.start(Gs=0.2, Gc=0.05)
+    expected = run_small_steps(two_mass(torque), [0.0] * 4, T, 2e-3)
+    plain = run_small_steps(two_mass(lambda a, w: 0.0), [0.0] * 4, T, 2e-3)
+    model = (plant("two_mass") + place_effect(effect(name), "load")).start(**values)
     run = gb.simulate(model, {"time": 2e-3 * np.arange(400), "T": T}, substeps=20)
     assert np.abs(run.outputs["a2"] - expected[:, 2]).max() < 1e-4 * np.ptp(expected[:, 2])
+    assert np.abs(plain - expected)[:, 2].max() > 0.03 * np.ptp(plain[:, 2])
 
 
 def test_a_ripple_of_the_torque_follows_the_angle_that_is_no_state() -> None:
