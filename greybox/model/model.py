@@ -161,9 +161,11 @@ class Model(Printable):
         """Name -> role of the states, inputs and parameters that have one: told, or found by their balances."""
         plant = build_system.read_plant(self.statement)
         # A body's velocity and displacement are found by their balances.
-        found = {name: role for s in reversed(plant.sites) for role, name in s.states.items() if name and role != STORE}
+        by_balance = {
+            name: role for s in reversed(plant.sites) for role, name in s.states.items() if name and role != STORE
+        }
         items: tuple[State | Input | ParameterSymbol, ...] = (*self.states, *plant.inputs, *plant.parameters)
-        return found | {item.name: item.role for item in items if item.role}
+        return by_balance | {item.name: item.role for item in items if item.role}
 
     @property
     def all_states(self) -> tuple[State, ...]:

@@ -227,24 +227,24 @@ def complete_roles(
         b.name: "velocity" if b.name in motions else by_name[b.state].role or _role_by_units(b, by_name[b.state])
         for b in balances
     }
-    for role, told in ROLES_BY_BALANCE.items():
+    for role, rule in ROLES_BY_BALANCE.items():
         every: tuple[Input | ParameterSymbol, ...] = (*inputs, *parameters)
         if any(item.role == role for item in every):
             continue
-        known = [parse_unit(unit).dimensions for unit in told.units]
+        known = [parse_unit(unit).dimensions for unit in rule.units]
         bare = [item.name for item in every if not item.role and _has_dimensions(item.unit, known)]
         if not bare:
             continue
         lines = [
-            ca.SX(b.storage) if told.is_stored else sum(map(ca.SX, b.terms.values()), ca.SX(0))
+            ca.SX(b.storage) if rule.is_stored else sum(map(ca.SX, b.terms.values()), ca.SX(0))
             for b in balances
-            if of_state[b.name] == told.state
+            if of_state[b.name] == rule.state
         ]
         used = {symbol.name() for symbol in ca.symvar(ca.SX(ca.vertcat(*lines)))}
-        found = [name for name in bare if name in used]
-        if len(found) == 1:
-            inputs = tuple(replace(i, role=role) if i.name in found else i for i in inputs)
-            parameters = tuple(q._replace(role=role) if q.name in found else q for q in parameters)
+        names = [name for name in bare if name in used]
+        if len(names) == 1:
+            inputs = tuple(replace(i, role=role) if i.name in names else i for i in inputs)
+            parameters = tuple(q._replace(role=role) if q.name in names else q for q in parameters)
     return inputs, parameters
 
 
