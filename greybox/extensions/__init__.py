@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from greybox.data.file_kinds import FileFormat
     from greybox.data.time_base import Samples
     from greybox.extensions.export.target import ExportTarget
-    from greybox.shell.study import Answer, Command, Excludes, Idle, Needs, Option, PlantKind, Study
+    from greybox.shell.plants import PlantKind
+    from greybox.shell.study import Answer, Command, Excludes, Idle, Needs, Option, Study
     from greybox.shell.study_values import Choice, Count, File, Names, Number, Numbers, Quantity, Switch, Word
     from greybox.simulation.plant import PlantRunError, as_model
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from greybox.shell import inputs
+from greybox.shell.plants import find_plant_kind
 from greybox.shell.study import (
     ESTIMATING,
     INTEGRATING,
@@ -19,7 +20,6 @@ from greybox.shell.study import (
     Idle,
     NextCommand,
     Study,
-    find_plant_kind,
 )
 from greybox.shell.terminal import write_report
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from greybox.base import DataError, ExitCode, Finding, GreyboxError, ModelError, nearest
 from greybox.base.texts import to_word
-from greybox.shell.study import Idle, Study, find_plant_kind
+from greybox.shell.plants import find_plant_kind
+from greybox.shell.study import Idle, Study
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note
 
 if TYPE_CHECKING:

@@ -19,7 +19,8 @@ from greybox.base import ExtensionKind, GreyboxError, ModelError, Printable, loa
 from greybox.base.files import is_output_of, list_foreign
 from greybox.data.file_kinds import record_suffixes
 from greybox.model import Model
-from greybox.shell.study import find_plant_kind
+from greybox.shell.plants import find_plant_kind
+from greybox.shell.study_values import split_model_path
 from greybox.simulation.kernel.c_compiler import find_cache_folder
 from greybox.simulation.plant import as_model, is_plant
 
@@ -333,12 +334,6 @@ def is_model_path(name: str) -> bool:
     """Whether `find_model` takes ``name`` as a file, and not as the name of a model."""
     is_python = name.endswith(".py") or ".py:" in name or "/" in name or "\\" in name
     return is_python or find_plant_kind(name) is not None
-
-
-def split_model_path(name: str) -> tuple[Path, str]:
-    """The file of ``my/rig.py:name``, and the name in it; "" where it has none."""
-    file, colon, wanted = name.rpartition(".py:")
-    return (Path(f"{file}.py"), wanted) if colon else (Path(name), "")
 
 
 # Digests of the programs that this user has named as models when a study was written, in the folder of the cache.

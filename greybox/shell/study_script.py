@@ -43,7 +43,8 @@ def _is_shipped(name: str) -> bool:
 
 
 def _model_lines(study: Study, folder: Path, variable: str = "model") -> list[str]:
-    from greybox.shell.project import is_model_path, split_model_path
+    from greybox.shell.project import is_model_path
+    from greybox.shell.study_values import split_model_path
 
     model = study.model
     if is_model_path(model):

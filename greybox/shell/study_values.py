@@ -308,16 +308,21 @@ class File(Kind[Path | None]):
         return None if value is None else move(value)
 
 
+def split_model_path(name: str) -> tuple[Path, str]:
+    """The file of ``my/rig.py:name``, and the name in it; "" where it has none."""
+    file, colon, wanted = name.rpartition(".py:")
+    return (Path(f"{file}.py"), wanted) if colon else (Path(name), "")
+
+
 @dataclass(frozen=True)
 class ModelName(Word):
     """A model: its name, or its file, which is a program; or a result that holds one."""
 
     def moved(self, value: str, move: Callable[[Path], Path]) -> str:
-        from greybox.shell.project import is_model_path, split_model_path
-
-        if not is_model_path(value) and not value.endswith(".json"):
-            return value
         file, name = split_model_path(value)
+        # Names of models have no ending.
+        if not file.suffix and "/" not in value and "\\" not in value:
+            return value
         return move(file).as_posix() + (f":{name}" if name else "")
 
 

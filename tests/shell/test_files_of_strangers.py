@@ -15,7 +15,7 @@ import pytest
 
 import greybox as gb
 from greybox.shell.commands import app
-from greybox.shell.study import PlantKind
+from greybox.shell.plants import PlantKind
 from tests.base.parallel.test_jobs import lag
 from tests.oracles.independent import linear_record
 from tests.shell.project.test_outline import TRAP

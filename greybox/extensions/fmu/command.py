@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from greybox.shell.study import PlantKind, Study
+from greybox.shell.plants import PlantKind
+from greybox.shell.study import Study
 
 if TYPE_CHECKING:
     from greybox.simulation.plant import PlantModel
