@@ -320,7 +320,7 @@ def _localisation(discovery: Discovery) -> Iterator[doc.Block]:
         yield doc.FigureBlock(unexplained)
     sets = {name: k + 1 for k, group in enumerate(localisation.sets) for name in group}
     rows = [
-        [s.label, str(sets[s.label]), f"{s.gain:.4g}", f"{s.size:.3g} {typeset_unit(s.unit)}".rstrip()]
+        [s.label, str(sets[s.label]), f"{s.gain:.4g}", quantity_text(s.size, format_unit(s.unit))]
         for s in localisation.sites
     ]
     if rows:

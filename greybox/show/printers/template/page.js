@@ -49,6 +49,8 @@
       Object.keys({ xaxis: 0, yaxis: 0, ...own }).filter((key) => /^[xy]axis/.test(key)).map((key) => {
         const title = { standoff: 12, ...own[key]?.title };
         if (key[0] === "y") title.text = broken(title.text, parseFloat(figure.plot.style.height) - 60);
+        // On paper, beside names as long as these.
+        else if (paper) title.text = broken(title.text, HALF - 40 - 7.5 * Math.max(0, ...(own.yaxis?.ticktext ?? []).map((name) => name.length)));
         return [key, { ...axis, ...(own[key]?.type === "log" ? logarithmic(figure, key[0]) : {}), ...own[key], title, uirevision: key[0] === "x" && figure.group ? "kept" : String(chosen) }];
       }));
     return {
