@@ -10,7 +10,6 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 
 from greybox.base import format_unit
-from greybox.base.texts import LINE_WIDTH
 from greybox.model.balance import Balance, stores_nothing
 from greybox.model.expressions.graph import as_scalar, nodes, walk
 from greybox.model.expressions.operations import operation_name
@@ -21,12 +20,12 @@ from greybox.model.system import System, intensity_unit
 
 Line = Callable[[str, str, str], str]  # name, unit, text -> one line of the equations
 
-# System -> text: models that share a system differ in values alone, of which the equations say nothing.
-_TEXTS: WeakKeyDictionary[System, str] = WeakKeyDictionary()
+# System -> width -> text: models that share a system differ in values alone, of which the equations say nothing.
+_TEXTS: WeakKeyDictionary[System, dict[int, str]] = WeakKeyDictionary()
 _EXACTLY: WeakKeyDictionary[System, dict[str, str]] = WeakKeyDictionary()
 
 
-def equations_text(model: Model, *, in_full: bool = False) -> str:
+def equations_text(model: Model, width: int = 110, *, in_full: bool = False) -> str:
     """The equations of a model: one balance after the other, each term above its name, then inputs and outputs.
 
     Effects are written out: an added term stands under the effect's name, a changed input, output or parameter shows as what stands in
@@ -36,6 +35,8 @@ def equations_text(model: Model, *, in_full: bool = False) -> str:
     ----------
     model
         The model.
+    width
+        In characters: a longer balance is written one term a line. Results hold their equations at the default.
     in_full
         Whether what stands behind the name of a `Block` follows.
 
@@ -48,9 +49,10 @@ def equations_text(model: Model, *, in_full: bool = False) -> str:
         effects = [f"  {b.effect.name} at {b.site}  {b.effect.equation}" for b in model.bound_effects]
         ties = [f"  tied  {tie}" for tie in model.ties]
         return "\n".join(["  no equations: it is run from outside", *effects, *ties])
-    if model.system not in _TEXTS:
-        _TEXTS[model.system] = _write_equations(model)
-    return "\n".join([_TEXTS[model.system], *(_blocks_in_full(model.system) if in_full else [])])
+    texts = _TEXTS.setdefault(model.system, {})
+    if width not in texts:
+        texts[width] = _write_equations(model, width)
+    return "\n".join([texts[width], *(_blocks_in_full(model.system) if in_full else [])])
 
 
 def _blocks_in_full(system: System) -> list[str]:
@@ -67,7 +69,7 @@ def _blocks_in_full(system: System) -> list[str]:
     return [*(f"  {part} = {text}" for part, text in printer.shared), *lines]
 
 
-def _write_equations(model: Model) -> str:
+def _write_equations(model: Model, width: int) -> str:
     system = model.system
     heads = [(b.name, _bracketed(b.unit)) for b in system.stated_balances]
     pushed = {
@@ -87,7 +89,7 @@ def _write_equations(model: Model) -> str:
 
     lines = []
     for balance, head in zip(system.stated_balances, heads, strict=False):
-        first, *rest = _balance(balance, LINE_WIDTH - indent)
+        first, *rest = _balance(balance, width - indent)
         lines += [line(*head, first), *(" " * indent + text for text in rest)]
     for d in sticking:
         unit = next(b.unit for b in system.balances if b.name == d.balance)
@@ -110,10 +112,10 @@ def _write_equations(model: Model) -> str:
             f"{i.name} {_bracketed(i.unit)}" + f" delayed by {delays[k]}" * bool(delays[k])
             for k, i in enumerate(model.inputs)
         ]
-        lines += _listed(line, "inputs", inputs, LINE_WIDTH - indent)
+        lines += _listed(line, "inputs", inputs, width - indent)
     outputs = system.outputs if system.stated_outputs is None else system.stated_outputs
     measured = [f"{o.name} {_bracketed(o.unit)} = {expression_text(outputs[k])}" for k, o in enumerate(model.outputs)]
-    lines += _listed(line, "outputs", measured, LINE_WIDTH - indent)
+    lines += _listed(line, "outputs", measured, width - indent)
     return "\n".join(lines)
 
 
@@ -166,13 +168,10 @@ def _storage(balance: Balance) -> str:
 
 
 def _listed(line: Line, head: str, items: Sequence[str], width: int) -> list[str]:
-    rows = [items[0]]
-    for item in items[1:]:
-        if len(rows[-1]) + len(item) + 3 <= width:
-            rows[-1] += f",  {item}"
-        else:
-            rows.append(item)
-    return [line(head if k == 0 else "", "", row) for k, row in enumerate(rows)]
+    together = ",  ".join(items)
+    if len(together) <= width:
+        return [line(head, "", together)]
+    return [line(head if k == 0 else "", "", item) for k, item in enumerate(items)]
 
 
 # What a model states, as a value that a result keeps: how a result is joined with a model, and how finished work is known.

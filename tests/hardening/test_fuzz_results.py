@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import io
 import json
 import sys
 import traceback
@@ -157,17 +158,20 @@ def use_change(path: Path, _: object) -> None:
     assert ChangeVerdict(change["verdict"]) and all(c["unit"] is not None for c in change["constants"].values())
 
 
-def use_campaign(path: Path, plan: object) -> None:
+def begin_campaign(plan: object, folder: Path) -> campaigns._CampaignRun:
     assert isinstance(plan, CampaignPlan)
-    steps = tuple(campaigns._read_steps(plan, path.parent).values())
+    return campaigns._CampaignRun(plan, folder, "", io.BytesIO(), lambda *_: None, print, None, 0)
+
+
+def use_campaign(path: Path, plan: object) -> None:
+    steps = tuple(begin_campaign(plan, path.parent)._read_steps().values())
     str(campaigns.Campaign(campaigns.CampaignStatus.MEASURING, plan, path.parent, steps, ()))
 
 
 def use_design(path: Path, plan: object) -> None:
     """What a campaign that goes on reads of the design it has made."""
-    assert isinstance(plan, CampaignPlan)
     (path.parent / "input.csv").touch()
-    goal, kind = campaigns._prepare(plan, campaigns.Knowledge(), (), path.parent, 1, print, print)
+    goal, kind = begin_campaign(plan, path.parent)._prepare(campaigns.Knowledge(), (), path.parent, 1)
     str(campaigns.CampaignStep(1, goal, kind))
 
 
@@ -199,7 +203,9 @@ def make_later_ones(folder: Path, search: Path) -> dict[Path, tuple[object, Call
         1, "precision", "multisine", "named", ("cubic_stiffness",), (("play",),), {"d": 0.01}, 1.0, {"y": 2.0}
     )
     todo = Finding(CampaignCode.MEASURE, subject="02/input.csv", values={"record": "02/record.csv"})
-    campaigns._save(plan, folder, campaigns.CampaignStatus.MEASURING, [step, replace(step, number=2)], todo)
+    run = begin_campaign(plan, folder)
+    run.steps += [step, replace(step, number=2)]
+    run._save(campaigns.CampaignStatus.MEASURING, todo)
     return {
         law: (None, use_law),
         gb.detect_changes(fit, records[1], search_effects=False).save(folder / "changed.json"): (None, use_change),

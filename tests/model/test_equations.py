@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from textwrap import dedent
 
+import greybox as gb
 from greybox import Balance, DryFriction, Effect, Input, Model, Output, Parameter, State
-from greybox.model.equations import equations_text
+from greybox.model.equations import equations_text, state_whole
+from models.micro_actuator import micro_actuator
 from tests.support.plants import actuator
 
 
@@ -90,3 +92,10 @@ def test_no_short_balance_is_wider_than_the_page() -> None:
     for terms in range(5):
         assert max(map(len, equations_text(tank(terms)).splitlines())) <= 110
     assert "= -long_constant h/h0 + long_constant u" in equations_text(tank(1))
+
+
+def test_what_results_hold_does_not_follow_the_width_of_a_terminal():
+    """An older result would be taken for one of another model."""
+    wide = micro_actuator + gb.effect("stribeck_friction") + gb.effect("viscoelastic_creep")
+    assert equations_text(wide) == equations_text(wide, 110) != equations_text(wide, 60)
+    assert state_whole(wide)[0] == equations_text(wide)

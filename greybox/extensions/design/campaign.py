@@ -11,11 +11,11 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, BinaryIO, ClassVar, NotRequired, TypedDict
 
 import numpy as np
 
-from greybox.base import DataError, Finding, Printable, Severity, read_json, write_json
+from greybox.base import DataError, Finding, Printable, Severity, read_json, shorten, write_json
 from greybox.base.files import hold_file
 from greybox.base.json_shape import FileKind, Unbounded, from_json_data, to_json_data
 from greybox.data.experiment import Experiment
@@ -58,6 +58,44 @@ class CampaignStatus(StrEnum):
     """The rig passed a limit: somebody has to look before it goes on."""
 
 
+class CampaignQuestion(TypedDict):
+    """What a campaign asks, which may not change while it goes on.
+
+    Attributes
+    ----------
+    equations, declared
+        What the model states, as in ``fit.json``.
+    fixed
+        Its known constants.
+    limits
+        Of each signal.
+    duration, sampling_time
+        Of each record, in seconds.
+    noise
+        Standard deviation of each sensor.
+    records
+        Fingerprints of the records that were there before.
+    effects
+        The only candidates, where there are such.
+    hold
+        How inputs move between samples.
+    at_rest
+        Whether records begin at rest.
+    """
+
+    equations: NotRequired[str]
+    declared: NotRequired[dict[str, str]]
+    fixed: dict[str, float]
+    limits: Mapping[str, Any]
+    duration: float
+    sampling_time: float
+    noise: dict[str, float]
+    records: list[str]
+    effects: list[str]
+    hold: str
+    at_rest: bool
+
+
 @dataclass(frozen=True)
 class CampaignPlan:
     """What a campaign is about.
@@ -98,9 +136,9 @@ class CampaignPlan:
     design_policy: DesignPolicy = DESIGN_POLICY
 
     @property
-    def question(self) -> dict[str, Any]:
+    def question(self) -> CampaignQuestion:
         """What may not change while a campaign goes on, as JSON data."""
-        return to_json_data(
+        data: CampaignQuestion = to_json_data(
             {
                 "equations": equations_text(self.model),
                 "declared": declare(self.model),
@@ -115,6 +153,7 @@ class CampaignPlan:
                 "at_rest": self.options.at_rest,
             }
         )
+        return data
 
 
 @dataclass(frozen=True)
@@ -382,7 +421,7 @@ class _CampaignRun:
         if before and (differences := compare_definition(self.plan.model, text, declared, {})):
             raise DataError(
                 f"{path}: this campaign was begun with another model; repeat its command with the model as it was, or give another"
-                f" folder: {'; '.join(map(str, differences))}"
+                f" folder: {'; '.join(shorten(str(d), 200) for d in differences[:3])}"
             )
         # A folder holds one question; another one would mix its records.
         changed = [name for name, value in self.plan.question.items() if name in before and before[name] != value]

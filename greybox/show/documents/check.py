@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from greybox.base import Finding
 from greybox.base import document as doc
 from greybox.base.document import Document, Later, TableBlock
+from greybox.base.texts import LINE_WIDTH
 from greybox.data.experiment import collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.estimation.check import ModelCheck
@@ -57,7 +58,7 @@ WIDTH = 16
 
 def _details(check: ModelCheck) -> Iterator[doc.Block]:
     """Equations, integration, records, what the outputs can tell at best and what these records tell, roles and effects."""
-    yield doc.EquationList([], equations_text(check.model, in_full=True))
+    yield doc.EquationList([], equations_text(check.model, LINE_WIDTH, in_full=True))
     facts = _computation(check)
     if check.assumed:
         facts += _listed("records", ["none given; simulated at the start values:", str(check.assumed)])

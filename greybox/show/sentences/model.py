@@ -32,7 +32,7 @@ def write_model(model: Model, *, in_full: bool = False) -> str:
     title = f"{model.title}: {model.description}" if model.description else model.title
     parameters = ["  parameters", *_table([_row(q) for q in model.all_parameters])] if model.all_parameters else []
     lines = texts.wrap(title, texts.LINE_WIDTH, "  ")
-    return "\n".join([*lines, equations_text(model, in_full=in_full), *parameters])
+    return "\n".join([*lines, equations_text(model, texts.LINE_WIDTH, in_full=in_full), *parameters])
 
 
 def _row(parameter: Parameter) -> tuple[str, ...]:
