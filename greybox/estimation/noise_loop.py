@@ -57,31 +57,29 @@ def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCa
         solution = solve_plant(problem, options, report)
     else:
         choice = try_free_run(select_transcription(problem, options), options)
-        if choice.transcription is Transcription.SINGLE:
-            solution = solve_single_shooting(choice.problem, options, report)
-            if solution.status is TerminationStatus.NO_START:
-                runnable = shorten_steps(choice.problem, options)
-                solution = solve_single_shooting(runnable, options, report) if runnable else solution
-            solution = replace(solution, strategy=choice.to_strategy(**solution.strategy.values))
-        elif choice.transcription is Transcription.ARCS:
+        if choice.transcription is Transcription.ARCS:
             return solve_multiple_shooting(choice, options, report)
-        else:
-            solution = _solve_joined(choice, options, report)
+        solution = _search(choice, options, report)
+        if solution.status is TerminationStatus.NO_START and (runnable := shorten_steps(choice.problem, options)):
+            solution = _search(replace(choice, problem=runnable), options, report)
     # A search of whole records at one step has kept its start itself.
     if solution.is_single and not options.progressive and solution.problem.step is problem.step:
         return solution
     return keep_best(solution, problem.variables, options, report)
 
 
-def _solve_joined(choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None) -> Solution:
-    """The optimum by segments or collocation.
+def _search(choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None) -> Solution:
+    """The optimum by a free run, segments or collocation, as the ``choice`` is.
 
     Of a stiff model a free run costs a tenth of segments: where they were chosen, it is searched for first, and handed out where it
     leaves nothing but noise, or less than they do.
     """
+    if choice.transcription is Transcription.SINGLE:
+        solution = solve_single_shooting(choice.problem, options, report)
+        return replace(solution, strategy=choice.to_strategy(**solution.strategy.values))
     free = None
     if choice.reason is not None and choice.problem.step.adaptive:
-        free = solve_single_shooting(choice.problem, replace(options, progressive=False), report)
+        free = solve_single_shooting(choice.problem, options, report)
         free = replace(free, strategy=choice.follow_freely().to_strategy(**free.strategy.values))
         if free.status is TerminationStatus.INTERRUPTED or is_at_told_noise(free):
             return free
@@ -124,6 +122,9 @@ def keep_best(
     runs = [(compute_cost(problem, start), start)]
     if runs[0][0] >= ended and not is_failed:
         return solution
+    # Segments and collocation points may begin where explicit steps do not run.
+    if not np.isfinite(runs[0][0]) and (runnable := shorten_steps(replace(problem, variables=start), options)):
+        problem, runs = runnable, [(compute_cost(runnable, start), start)]
     if is_failed:
         runs.append((compute_cost(problem, solution.variables), solution.variables))
     best, variables = min(runs, key=lambda run: run[0])

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from fits.published_networks import NETWORKS
-from fits.stiff_problems import PROBLEMS
+from fits.stiff_problems import PROBLEMS, StiffProblem
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit, simulate
 from greybox.base.errors import ModelError
 from greybox.data.noise import NoiseSource
@@ -256,6 +256,39 @@ def test_a_relaxation_oscillation_three_times_off_is_found_from_other_starts():
         noise=std,
         options=FitOptions(at_rest=True),
     )
+    assert found.success
+    assert problem.squares({n: found.parameters[n].value for n in problem.names}) < problem.squares({})
+
+
+def rotifers():
+    """Rotifers that feed on algae in a chemostat (Fussmann and others, Science 290, 2000), with constants of their size: three periods."""
+
+    def rates(x, u, p):
+        grown, eaten = p.grow * x.n / (p.half + x.n), p.eat * x.c / (p.full + x.c)
+        return {
+            "n": u.d * (80.0 - x.n) - grown * x.c,
+            "c": grown * x.c - eaten * x.b / p.yield_ - u.d * x.c,
+            "r": eaten * x.r - (u.d + 0.455) * x.r,
+            "b": eaten * x.r - (u.d + 0.055) * x.b,
+        }
+
+    return StiffProblem(
+        rates,
+        {"n": 20.0, "c": 30.0, "r": 2.0, "b": 3.0},
+        {"grow": 3.3, "half": 4.3, "eat": 2.25, "full": 15.0, "yield_": 0.25},
+        np.linspace(0.0, 40.0, 121),
+        ("c", "b"),
+        {"d": np.full(121, 0.69)},
+    )
+
+
+@pytest.mark.rest
+def test_a_start_that_explicit_steps_do_not_run_is_searched_from_by_others():
+    """Errors grow there, and segments had no start."""
+    problem = rotifers()
+    std = dict(zip(problem.measured, problem.std.tolist(), strict=True))
+    start = problem.model().start(**problem.draw_start(3.0, None))
+    found = fit(start, problem.record(), noise=std, options=FitOptions(at_rest=True))
     assert found.success
     assert problem.squares({n: found.parameters[n].value for n in problem.names}) < problem.squares({})
 
