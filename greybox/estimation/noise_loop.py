@@ -88,10 +88,10 @@ def _search(choice: TranscriptionChoice, options: FitOptions, report: FitProgres
     solution = finish_by_simulation_error(solution, options, report)
     if free is None:
         return solution
-    # Segments that failed, or do not meet, have no cost to compare: the search goes on from them (`keep_best`).
-    is_better = free.status.success and free.evaluation.cost <= (
-        solution.evaluation.cost if solution.is_run else np.inf
-    )
+    # Segments that failed, or do not meet, go on by a free run of their own.
+    solution = keep_best(solution, choice.problem.variables, options, report)
+    cost = solution.evaluation.cost if solution.is_run else np.inf
+    is_better = free.status.success and free.evaluation.cost <= cost
     return free.with_work_of(solution) if is_better else solution.with_work_of(free)
 
 
