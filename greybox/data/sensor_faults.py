@@ -85,10 +85,11 @@ STEP_ROUNDING = 0.05
 def find_reading_step(values: np.ndarray) -> float | None:
     """The step of which all readings (N,) are multiples, up to an offset; None where they show none."""
     distances = np.diff(np.unique(values[np.isfinite(values)]))
-    if len(distances) < LEAST_LEVELS - 1:
+    # A number holds no more steps than it has digits.
+    if len(distances) < LEAST_LEVELS - 1 or distances.min() < np.finfo(float).eps * distances.max():
         return None
     counts = np.round(distances / distances.min())
-    step = float(distances.sum() / counts.sum())
+    step = float((distances / counts.sum()).sum())
     return step if np.abs(distances / step - counts).max() <= STEP_ROUNDING else None
 
 

@@ -282,7 +282,7 @@ def estimate_written_step(columns: Sequence[np.ndarray]) -> float:
         return 0.0
     if _is_whole(steps / steps.min()):
         return float(steps.min())
-    written = different[different != 0]
+    written = different[np.abs(different) > np.finfo(float).tiny]  # below it a number loses its digits
     leading = np.floor(np.log10(np.abs(written)))
     for digits in range(1, MOST_DIGITS + 1):
         last = 10.0 ** (leading - digits + 1)

@@ -6,6 +6,7 @@ import pytest
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_sources import estimate_noise
 from greybox.data.noise.repeats import estimate_written_step
+from greybox.data.sensor_faults import find_reading_step
 from tests.support.first_order import first_order
 
 # Level, movement (rms), noise, and decimals with which a logger writes it.
@@ -76,3 +77,11 @@ def test_no_noise_exceeds_what_the_signal_moves():
     y = np.where(rng.random(100) < 0.02, 310.0, 300.0)
     found = estimate_noise(first_order(), [Experiment.from_arrays(np.arange(100.0), {"u": u}, {"y": y})], {})
     assert found.std[0] <= np.std(y)
+
+
+@pytest.mark.parametrize("least", [5e-324, 1e-320, 1e-310])
+def test_numbers_that_have_lost_their_digits_have_no_step(least):
+    """A damaged file may hold them: no warning of the arithmetic may end its check."""
+    readings = np.concatenate([np.random.default_rng(1).normal(size=400), least * np.arange(1, 30)])
+    assert find_reading_step(readings) is None
+    assert estimate_written_step([readings]) == 0.0
