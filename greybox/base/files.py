@@ -82,7 +82,7 @@ def is_output_of(path: Path, command: str, memory: Path) -> bool:
 
 
 def _recall(memory: Path) -> dict[str, list[str]]:
-    with contextlib.suppress(OSError, ValueError):
+    with contextlib.suppress(OSError, ValueError, TypeError):
         return dict(json.loads(memory.read_text(encoding="utf-8")))
     return {}
 

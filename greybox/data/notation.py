@@ -28,36 +28,28 @@ WORDS: dict[str, str] = {
         "V": "volt volts vdc",
         "A": "amp amps ampere",
         "%": "pct percent prozent",
+        "permille": "promille ‰",
+        "rpm": "rpm upm",
+        "psi": "psia",
+        "kPa": "kpa",
+        "hPa": "hpa",
+        "l/min": "lpm",
+        "gal/min": "gpm",
+        "m^3": "cbm",
+        "cm^3": "ccm",
+        "kgf": "kp",
+        "lb": "lbs",
+        "metric_horsepower": "ps PS",
+        "knot": "kts",
+        "km/h": "kmh",
+        "m/s": "mps",
+        "Hz": "hz",
+        "kHz": "khz",
+        "ohm": "ohms",
+        "inch": "zoll",
     }.items()
     for word in words.split()
 }
-WORDS |= dict(
-    pair.split("=")
-    for pair in [
-        "rpm=rpm",
-        "upm=rpm",
-        "psia=psi",
-        "kpa=kPa",
-        "hpa=hPa",
-        "lpm=l/min",
-        "gpm=gal/min",
-        "cbm=m^3",
-        "ccm=cm^3",
-        "kp=kgf",
-        "lbs=lb",
-        "ps=metric_horsepower",
-        "PS=metric_horsepower",
-        "kts=knot",
-        "kmh=km/h",
-        "mps=m/s",
-        "hz=Hz",
-        "khz=kHz",
-        "ohms=ohm",
-        "zoll=inch",
-        "promille=permille",
-        "‰=permille",
-    ]
-)
 # Words of readings that are in nobody's unit: each is 1.
 COUNT_WORDS = frozenset(
     word

@@ -211,6 +211,7 @@ def test_an_earlier_output_of_the_same_command_is_no_foreign_content(tmp_path: P
     assert run("4", "fit b") == [target]
     target.write_text("notes of my own")
     assert run("5", "fit b") == [target]
-    memory.write_text("damaged")
-    assert run("6", "fit b") == [target]
-    assert not run("7", "fit b")
+    for text in ("damaged", "[1, 2]", "7", "null"):
+        memory.write_text(text)
+        assert run(f"after {text}", "fit b") == [target]
+        assert not run("7", "fit b")
