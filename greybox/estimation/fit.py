@@ -67,6 +67,7 @@ from greybox.estimation.transcription.problem import (
     Completion,
     EstimationProblem,
     FitProgressCallback,
+    TranscriptionReason,
     make_strategy,
     prepare_problem,
 )
@@ -488,6 +489,9 @@ class SearchTrouble(StrEnum):
     LOST_CONSTANTS = "lost_constants"
     """It ended where constants that the records determine elsewhere change nothing."""
 
+    ANOTHER_COURSE = "another_course"
+    """It ended above a noise that is known where errors grow along the record: free runs of such a model have many optima."""
+
 
 def find_trouble(begun: SimulationOptimum, problem: EstimationProblem, looks_elsewhere: bool) -> SearchTrouble | None:
     """What is wrong with the end of a search; lost constants, which take some runs to see, only where one ``looks_elsewhere``."""
@@ -497,7 +501,22 @@ def find_trouble(begun: SimulationOptimum, problem: EstimationProblem, looks_els
         return SearchTrouble.STANDS
     if begun.status is TerminationStatus.ITERATION_LIMIT:
         return SearchTrouble.GAVE_UP
-    return SearchTrouble.LOST_CONSTANTS if looks_elsewhere and has_lost_constants(begun, problem) else None
+    if looks_elsewhere and has_lost_constants(begun, problem):
+        return SearchTrouble.LOST_CONSTANTS
+    return SearchTrouble.ANOTHER_COURSE if may_follow_another_course(begun) else None
+
+
+def may_follow_another_course(optimum: SimulationOptimum) -> bool:
+    """Whether a free run of a stiff model that is unstable along the record ended above a noise that is known: an oscillation of another
+    period is an optimum of its own.
+    """
+    solution = optimum.solution
+    return (
+        solution.strategy.values.get("reason") in (TranscriptionReason.UNSTABLE, TranscriptionReason.FREE_RUN_FOLLOWS)
+        and solution.problem.step.adaptive is not None
+        and solution.problem.noise.is_level_known
+        and not is_at_noise(optimum)
+    )
 
 
 def explains_nothing(optimum: SimulationOptimum) -> bool:

@@ -19,7 +19,7 @@ from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Param
 from greybox.base.errors import ModelError
 from greybox.data.noise import NoiseSource
 from greybox.estimation.findings import EstimationCode
-from greybox.estimation.fit import draw_starts
+from greybox.estimation.fit import SearchTrouble, draw_starts
 from greybox.estimation.noise_loop import compute_cost as compute_start_cost
 from greybox.estimation.noise_loop import keep_best, solve
 from greybox.estimation.optim.gauss_newton import run_gradient_sampling
@@ -246,18 +246,17 @@ def test_published_constants_are_held(name):
 
 
 @pytest.mark.rest
-def test_a_relaxation_oscillation_three_times_off_is_found_from_other_starts():
-    """They are ranked by the steps of the search: at the explicit ones of a problem that is not known to be stiff few of them run."""
-    problem = PROBLEMS["Oregonator"]
+@pytest.mark.parametrize("draw", [0, 4], ids=["three times off", "ended at another rhythm"])
+def test_a_relaxation_oscillation_from_far_off_is_found_from_other_starts(draw):
+    """They are ranked by the steps of the search, as few of them run at explicit ones; another rhythm is an optimum above the noise."""
+    problem, generator = PROBLEMS["Oregonator"], np.random.default_rng(1)
+    starts = [problem.draw_start(3.0, None), *(problem.draw_start(10.0, generator) for _ in range(draw))]
     std = dict(zip(problem.measured, problem.std.tolist(), strict=True))
-    found = fit(
-        problem.model().start(**problem.draw_start(3.0, None)),
-        problem.record(),
-        noise=std,
-        options=FitOptions(at_rest=True),
-    )
+    found = fit(problem.model().start(**starts[-1]), problem.record(), noise=std, options=FitOptions(at_rest=True))
     assert found.success
     assert problem.squares({n: found.parameters[n].value for n in problem.names}) < problem.squares({})
+    (taken,) = (f for f in found.findings if f.code == EstimationCode.OTHER_START_TAKEN)
+    assert taken.values["trouble"] == (SearchTrouble.ANOTHER_COURSE if draw else SearchTrouble.EXPLAINS_NOTHING)
 
 
 def rotifers():

@@ -441,6 +441,7 @@ _TROUBLES = {
     "stands": "stands where it began",
     "gave_up": "did not end within its iterations",
     "lost_constants": "ended where some of its constants change nothing",
+    "another_course": "ended above the noise, of a model in which errors grow",
 }
 
 
