@@ -28,7 +28,7 @@ class ExtensionKind(StrEnum):
     EXPORTS = "exports"
     """Targets of an export: a `greybox.extensions.export.ExportTarget`."""
     PLANTS = "plants"
-    """What may stand in the place of a model: a `greybox.simulation.plant.Plant`, or the `greybox.shell.study.PlantKind` of a file."""
+    """What may stand in the place of a model: a `greybox.simulation.plant.Plant`, or the `greybox.shell.plants.PlantKind` of a file."""
     COMMANDS = "commands"
     """Commands of the terminal: a `greybox.shell.study.Command`."""
     EFFECTS = "effects"
