@@ -84,6 +84,8 @@ OPEN_SHARE = 0.5
 STRANGE_SHARE, LOST_SHARE, ROUGH = 0.25, 0.5, 0.1
 # Rows on which the noise of the sensors is added again.
 SHAKEN_ROWS = 5000
+# Standard errors from which described links show in a current: what they are not said to carry is as large as they are at a wrist.
+SHOWN_DEVIATIONS = 10.0
 # Linearisations after which the width of a Stribeck effect and the gains of readings stand still.
 SETTLING = 4
 # Standard deviation of a payload that is known, as a share of its mass.
@@ -171,9 +173,9 @@ def identify_robot(
         if not log.counts[:, k].any():
             findings.append(Finding(RobotCode.AXIS_WITHOUT_ROWS, Severity.WARNING, joint.name))
     point, table, chosen, free, untold = _search(log, known, gauge, free)
-    guessed = [base.robot.axes[i].name for i in untold]
+    guessed = {base.robot.axes[i].name: share for i, share in untold.items()}
     if guessed:
-        findings.append(Finding(RobotCode.CONSTANT_UNTOLD, Severity.WARNING, values={"joints": guessed}))
+        findings.append(Finding(RobotCode.CONSTANT_UNTOLD, Severity.WARNING, values={"joints": list(guessed)}))
     sums = table.weigh_by_residual(chosen)
     torques = _follow_torques(log, point.move(solve(sums, chosen), log.fastest), free)
     sums = _join_blocks(sums, log, torques, findings)
@@ -204,7 +206,7 @@ def identify_robot(
         lost = [j.joint for j in joints]
     effects = [
         replace(e, grade=Grade.PROBABLE) if e.joint in (*lost, *guessed) or (strange and e.kind == GAIN.name) else e
-        for e in (*answer.list_effects(), *inertias)
+        for e in (_scatter(e, guessed.get(e.joint, 0.0)) for e in (*answer.list_effects(), *inertias))
     ]
     if lost:
         verdict, payload = RigidVerdict.OTHER, None
@@ -316,7 +318,7 @@ def _guess_constants(base: BaseParameters, log: JointLog, known: np.ndarray, fre
     mixing[: len(base.names), 0], mixing[B : B + len(USUAL), 1:] = base.values, np.eye(len(USUAL))
     fits = [BlockProducts(table.joints[i], table.rows[i]).substitute(mixing, np.zeros(len(mixing))).fit() for i in free]
     shares = np.array([fit.x[0] for fit in fits])
-    shows = np.abs(shares) > NAMED_DEVIATIONS * np.array([fit.std[0] for fit in fits])
+    shows = np.abs(shares) > SHOWN_DEVIATIONS * np.array([fit.std[0] for fit in fits])
     # Friction takes power from a drive: what a drive that only turns its own link gives is of the sign of its speed.
     power = table.joints[list(free), :, B + COLUMNS.index(VISCOUS), -1].sum(axis=1)
     usual = np.median(1 / np.abs(shares[shows])) if shows.any() else 1.0
@@ -357,8 +359,8 @@ def _match_axes(robot: Robot, logs: Sequence[Experiment]) -> tuple[Robot, list[i
 
 def _search(
     log: JointLog, known: np.ndarray, gauge: np.ndarray, free: Sequence[int]
-) -> tuple[WorkingPoint, JointTable, list[int], list[int], list[int]]:
-    """The table linearised about the answer, and its columns; of the axes with a free constant those that tell it, and the others."""
+) -> tuple[WorkingPoint, JointTable, list[int], list[int], dict[int, float]]:
+    """The linearised table, the columns of the answer; axes that tell their free constant, and the others with the share of their error."""
     base, n, fastest = len(known) - 1, log.tau.shape[1], log.fastest
     joints = np.flatnonzero(log.counts.any(axis=0)).tolist()
     chosen = [*range(base), *_usual(base, joints)]
@@ -396,7 +398,8 @@ def _search(
             point.gains[joint] = 1.0 if kind is GAIN else point.gains[joint]
             point.widths[joint] = np.nan if kind is STRIBECK else point.widths[joint]
         point, table = settle(point, 1)
-    return point, table, chosen, shown, [i for i in gains if i not in shown]
+    spread = dict(zip(gains, fit.std[len(fit.std) - len(gains) :].tolist(), strict=True))
+    return point, table, chosen, shown, {i: min(std, 1.0) for i, std in spread.items() if i not in shown}
 
 
 def _find_unusual(
@@ -676,6 +679,12 @@ class _Answer:
 def _spell(value: float, std: float, quantile: float) -> tuple[float, float, Interval]:
     """An estimate with its standard error and its 95 % interval."""
     return float(value), float(std), (float(value - quantile * std), float(value + quantile * std))
+
+
+def _scatter(effect: JointEffect, share: float) -> JointEffect:
+    """An effect whose torque may be off by this share of it."""
+    off, (low, high) = share * abs(effect.value), effect.interval
+    return replace(effect, std=math.hypot(effect.std, off), interval=(low - 2 * off, high + 2 * off))
 
 
 def _say_motion(base: Sequence[BaseEstimate]) -> str:

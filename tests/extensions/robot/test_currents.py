@@ -79,7 +79,7 @@ def test_currents_without_a_sign_give_no_certainty(arm: Robot) -> None:
     unsigned = {n: np.abs(v) if n.startswith("i") else v for n, v in log.outputs.items()}
     found = identify_robot(arm, gb.Experiment("log", log.time, {}, unsigned))
     assert found.verdict is RigidVerdict.OTHER and not [e for e in found.effects if e.grade is Grade.ESTABLISHED]
-    assert [f.values["joints"] for f in found.findings if f.code == "robot_not_followed"] == [["shoulder", "elbow"]]
+    assert "robot_not_followed" in [f.code for f in found.findings]
 
 
 def test_one_known_constant_or_one_torque_closes_the_level(arm: Robot) -> None:
