@@ -82,7 +82,7 @@ REFUSED = [
     ("app micro_actuator a.csv copy.csv --no-browser", "copy.csv: the same data as a.csv; its data would count twice"),
     (
         "fit micro_actuator a.csv --effect nope",
-        "did you mean 'end_stop' or 'end_stops' or 'input_offset'? (68 are known)",
+        "did you mean 'end_stop' or 'end_stops' or 'input_offset'? (71 are known)",
     ),
     ("changed fit.json a.csv copy.csv", "copy.csv: the same data as a.csv; its data would count twice"),
     ("changed fit.json a.csv --population", "1 machine: a population needs"),
