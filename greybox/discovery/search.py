@@ -285,11 +285,13 @@ class EffectSearch:
         worth = [one for one in promises if not one[0].effects or self._is_worth(one)]
         ranked = sorted(worth, key=lambda one: one[2])
         of_base: dict[int, int] = {}
-        taken: set[tuple[int, str]] = set()
+        taken: set[tuple[int, str, str]] = set()
         chosen: dict[tuple[int, str], tuple[FittedCandidate, EffectPromise]] = {}
         count = 0
         for base, promise, _ in ranked:
-            root, place = self._root(promise.effect.name), (id(base), self._root(promise.effect.name))
+            # A constant at an input and one at a balance are of one family, and each other's equal.
+            root = self._root(promise.effect.name)
+            place = id(base), root, promise.effect.site
             most = MOST_TRIED if base.effects else MOST_ALONE
             if place in taken or (count >= most and of_base.get(id(base), 0) >= LEAST_TRIED):
                 continue
