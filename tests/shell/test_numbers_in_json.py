@@ -102,11 +102,17 @@ def shown_numbers(text: str) -> Iterator[tuple[str, str, str]]:
                 yield here[1], unit, told
 
 
+# The unit of a number in a table stands at the head of its column: the one that is stored, or a thousandth of it, and so on.
+AT_THE_HEAD = (1.0, 1e3, 1e6)
+
+
 def is_stored(number: str, unit: str, stored: np.ndarray) -> bool:
     """Whether a stored number, in the shown unit, is the shown one to its digits."""
     mantissa, _, exponent = number.partition("e")
     half = 0.5 * 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])) * (1 + 1e-6)
-    return any(bool(np.any(np.abs(factor * stored - abs(float(number))) <= half)) for factor in UNITS.get(unit, (1.0,)))
+    return any(
+        bool(np.any(np.abs(factor * stored - abs(float(number))) <= half)) for factor in UNITS.get(unit, AT_THE_HEAD)
+    )
 
 
 @pytest.fixture(scope="module")
