@@ -24,12 +24,13 @@ if TYPE_CHECKING:
         place_effect,
     )
     from greybox.model.effects.elasticity import CONTACT, ELASTICITY
-    from greybox.model.effects.electrical import ELECTRICAL, THERMAL
+    from greybox.model.effects.electrical import ELECTRICAL
     from greybox.model.effects.flow import FLOW, LEVEL
     from greybox.model.effects.friction import DAMPING, FRICTION
     from greybox.model.effects.roles import ROLES, SignalRole
     from greybox.model.effects.rotation import LOAD, ROTATION
     from greybox.model.effects.scales import Scales, bound_delays, measure_scales, tailor_to_record
     from greybox.model.effects.signal_path import BETWEEN_SAMPLES, SIGNAL_PATH
+    from greybox.model.effects.thermal import HEAT_SOURCES, THERMAL
 
 __getattr__, __all__ = lazy_face(__name__)

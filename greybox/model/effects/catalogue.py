@@ -19,7 +19,7 @@ from greybox.base import Printable, nearest
 from greybox.base.errors import MissingNameError, ModelError, UnitError
 from greybox.base.extensions import ExtensionKind, load_extensions, reserve
 from greybox.model.effect import Effect
-from greybox.model.effects import elasticity, electrical, flow, friction, rotation, signal_path
+from greybox.model.effects import elasticity, electrical, flow, friction, rotation, signal_path, thermal
 from greybox.model.effects.scales import Scales, tailor_to_record
 from greybox.model.model import Model
 from greybox.model.signals import Parameter
@@ -36,9 +36,9 @@ CATALOGUE: tuple[Effect, ...] = (
     *flow.LEVEL,
     *rotation.LOAD,
     *rotation.ROTATION,
-    *electrical.THERMAL,
+    *thermal.THERMAL,
     *signal_path.SIGNAL_PATH,
-    *electrical.HEAT_SOURCES,
+    *thermal.HEAT_SOURCES,
     *signal_path.BETWEEN_SAMPLES,
 )
 reserve(ExtensionKind.EFFECTS, (entry.name for entry in CATALOGUE))
