@@ -1,5 +1,7 @@
 """The loop of a search on records of a mass on a spring: what it tries, what it leaves alone, and that what wins is the answer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ import greybox as gb
 from greybox.discovery.candidates import estimate_scales, list_candidates
 from greybox.discovery.conclusion import leave_out_small
 from greybox.discovery.holdout import HoldoutScores, ValidationSet
+from greybox.discovery.linear import EffectPromise
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.search import EffectSearch, StepKind
@@ -67,6 +70,17 @@ def test_of_two_effects_each_is_found_and_what_is_without_one_is_on_the_table():
     for name in winner.effects:
         rest = loop.table.get(set(winner.effects) - {name})
         assert rest is not None and rest.noise_ratio > 1.5 * winner.noise_ratio
+
+
+def test_a_constant_at_the_balance_does_not_hide_the_one_at_the_input(of_friction):
+    """They are of one family, by the gain that differs by sign, and each other's equal: one alone would pass for certain."""
+    loop, winner = of_friction
+    names = ("constant_load", "input_offset", "gain_by_sign")
+    promises = [EffectPromise(gb.effect(name), 1e6 - k) for k, name in enumerate(names)]
+    # The first of the family in the catalogue is tried whatever it promises.
+    candidates = [*(p.effect for p in promises), *(e for e in loop.candidates if e.name not in names)]
+    chosen = replace(loop, candidates=candidates)._choose([(winner, p, 1.0 + k) for k, p in enumerate(promises)])
+    assert [promise.effect.name for _, promise in chosen] == ["constant_load", "input_offset"]
 
 
 @pytest.mark.parametrize("noise", [NOISE, None])
