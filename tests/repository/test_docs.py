@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 import greybox
-from greybox.show.sentences.model import write_catalogue_page
 from tests.support.documented import ROOT, blocks, commands, missing, run_page, same
 
 DOCS = ROOT / "docs"
@@ -146,8 +145,31 @@ def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:
     for command in COMMANDS:
         assert f"## greybox {command}\n" in text
     assert "--json" in text and "\x1b" not in text
-    page = write_catalogue_page(greybox.model.effects.CATALOGUE)
+    page = hooks.write_catalogue_page(greybox.model.effects.CATALOGUE)
     assert (DOCS / "catalogue.md").read_text(encoding="utf-8") == page, "run python docs/hooks.py"
+    roles = hooks.write_roles_page(greybox.model.effects.ROLES)
+    assert (DOCS / "roles.md").read_text(encoding="utf-8") == roles, "run python docs/hooks.py"
+
+
+def test_a_section_of_the_catalogue(hooks) -> None:
+    page = hooks.write_catalogue_page((greybox.model.effects.effect("load_dependent_friction"),))
+    assert page.endswith(
+        "## load_dependent_friction\n"
+        "\n"
+        "`-(Fc + mu (sizes of the forces that do not depend on v)) sign(v)`\n"
+        "\n"
+        "Needs a balance of a velocity, in N, N m or per mass, of a rig with `gear`; occasional, with `weight` common.\n"
+        "\n"
+        "- `Fc` [{force}]: friction without load\n"
+        "- `mu` [1]: friction over the force transmitted\n"
+        "\n"
+        "Contains [coulomb_friction](#coulomb_friction).\n"
+        "\n"
+        "Tell it apart: Move at one speed under several loads: this friction grows with the load, Coulomb and viscous friction do not.\n"
+        "\n"
+        "Source: gears and harmonic drives: Hamon, Gautier, Garrec 2010, Dynamic identification of robots with a dry friction model"
+        " depending on load and velocity.\n"
+    )
 
 
 def test_a_clone_shows_what_the_built_pages_show(hooks) -> None:

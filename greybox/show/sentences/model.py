@@ -13,13 +13,12 @@ from greybox.model.effects.catalogue import AT
 from greybox.model.effects.roles import ROLES
 from greybox.model.effects.signal_path import MISREAD
 from greybox.model.expressions.text import number_text
-from greybox.model.parts import PARTS, Occurrence
 from greybox.model.sites import NEEDED
 from greybox.show.sentences import renders
 
 if TYPE_CHECKING:
-    from greybox.model import Effect, Model, Parameter
-    from greybox.model.effects import Placement, SignalRole
+    from greybox.model import Model, Parameter
+    from greybox.model.effects import Placement
 
 
 @renders("Model")
@@ -60,90 +59,7 @@ def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
     return lines
 
 
-# The catalogue of effects as text and as a page, and where its effects find a place in a model.
-
-HEAD = """# Catalogue of effects
-
-These effects are tried by `greybox discover` and added to a model by `--effect NAME` or `model + gb.effect("NAME")`. An added effect
-changes nothing while its amplitude is zero. `greybox effects MODEL` lists those that find a place in a model. Where a model has
-several sites (bodies, inputs, outputs), the name alone means the first, and `NAME_at_SITE` another one. If yours is missing, write
-[your own](own_effect.md).
-
-In equations `x` and `v` are displacement and velocity of a body, `u` is the input and `y` the output at the site. Units in braces are
-those of the model: `{force}` is that of its balance.
-"""
-
-PARTS_HEAD = """
-## Parts of a rig, and what is usual
-
-Records alone cannot refuse an effect with memory: it follows whatever is left. Knowledge of the rig can. A model says what the rig has
-in one line, `Model(..., has=("gear", "fluid"), lacks=("spring",))`, a study file as `has` and `lacks`, the command line as
-`--has gear --lacks spring`. Effects whose parts the rig lacks are not tried; what nobody has said is possible. Some follows from the
-model: without an input there is no motor, and a body that nothing drives or holds hangs on no spring. What is said counts before what
-follows. A model that lists its `candidates` has said what may hide; only parts that it is told to lack leave one of them out.
-
-The classes below ({classes}) are a judgement on the counts of 109
-published, shipped or fitted models of rigs, good to a factor of two: which share of the rigs with the part lacks the effect in its
-plain model, at one place. They order what does equally well on the records, and never make a name
-more certain. An effect of your own counts as common.
-
-"""
-
-ROLES_HEAD = """# Roles
-
-A role says what a signal or a parameter is physically; names are yours. Effects of the catalogue ask for roles, so that one Coulomb
-friction serves every body:
-
-```text
-State("w", "rad/s", role="velocity")
-Input("Ta", "K", role="ambient_temperature")
-Parameter("Ra", "ohm", 8.0, role="resistance")
-```
-
-Most of it goes without: a balance in N or N m of a state in m/s or rad/s is that of a body, the state whose rate is this velocity its
-displacement; a balance in V of a state in A is that of a current, and so on; an input without a role is a drive. The only temperature
-among the inputs and parameters of a heat balance is the ambient one, the only constant in ohm in the balance of a current its resistance.
-
-`greybox check MODEL` shows the role of each signal, the effects that find a place, and what would open the others; `greybox effects
-MODEL` lists the same effect by effect. Several signals may have one role: each body has its own velocity, each tank its own level. Where
-an effect asks for a role and its site does not tell which is meant, it is the first.
-"""
-
-ROLES_TAIL = """Beside these, the effects at `pressure_a` and `upper_level` look for balances of these names, as the [pneumatic
-chain](tutorial_pneumatic.md) and the cascaded tanks have them. What an effect needs stands with it in the [catalogue](catalogue.md).
-
-## Plants to start from
-
-`greybox init DIR --plant NAME` writes a model with all roles: `rotary-drive` (velocity, current, resistance, inductance),
-`two-mass` (two bodies on a shaft), `stage` (displacement and velocity), `cylinder` (pressure and valve), `thermal` (temperature
-and ambient temperature), `tanks` and `tank-chain` (levels), `chamber` (pressure of a vessel), `circuit` (current, inductance).
-"""
-
-
-def write_catalogue_page(entries: Sequence[Effect]) -> str:
-    """The page of the documentation: all effects by where they act, then a section for each."""
-    at_site: dict[str, list[str]] = {}
-    for e in entries:
-        at_site.setdefault(e.site, []).append(e.name)
-    lines = [HEAD, *(f"- {site}: {_names(names, ', ')}" for site, names in at_site.items())]
-    classes = ", ".join(f"{kind} {kind.probability:g}" for kind in Occurrence)
-    lines += [PARTS_HEAD.format(classes=classes) + "| part | what it is |", "|---|---|"]
-    lines += [f"| `{p.name}` | {p.meaning} |" for p in PARTS]
-    for e in entries:
-        needed = NEEDED.get(e.site, f"the balance `{e.site}`")
-        parts = f", of a rig with {' or '.join(f'`{name}`' for name in e.needs)}" if e.needs else ""
-        usual = ", ".join([e.occurs, *(f"with `{name}` {kind}" for name, kind in e.occurs_with.items())])
-        lines += ["", f"## {e.name}", "", f"`{e.equation}`", "", f"Needs {needed}{parts}; {usual}.", ""]
-        lines += [f"- `{q.name}` [{_plain(q.unit)}]: {q.description}" for q in e.parameters]
-        lines += [""] if e.parameters else []
-        if e.parents:
-            lines += [f"Contains {_names(e.parents)}.", ""]
-        if e.approaches:
-            lines += [f"Approaches {_names(e.approaches)} at the end of its range.", ""]
-        if e.stands_for:
-            lines += [f"Says the same as {_names(e.stands_for, ' with ')}, and is no candidate where these are.", ""]
-        lines += [f"Tell it apart: {e.tells_apart}", "", f"Source: {e.source}."]
-    return "\n".join(lines) + "\n"
+# Where the effects of the catalogue find a place in a model.
 
 
 def describe_missing(placement: Placement) -> str:
@@ -193,25 +109,13 @@ def _listed(groups: Mapping[str, Sequence[str]]) -> list[str]:
     ]
 
 
-def write_roles_page(roles: Sequence[SignalRole]) -> str:
-    """The page of the documentation: every role with units, meaning and what it opens."""
-    lines = [ROLES_HEAD, "| role | of | units | what it is | opens |", "|---|---|---|---|---|"]
-    lines += [
-        f"| `{r.name}` | {', '.join(r.owners)} | {', '.join(r.units)} | {r.meaning} | {r.needed_for} |" for r in roles
-    ]
-    return "\n".join([*lines, "", ROLES_TAIL])
-
-
-def _names(names: Sequence[str], word: str = " and ") -> str:
-    return word.join(f"[{name}](#{name})" for name in names)
-
-
 def write_units(parameters: Sequence[Parameter]) -> str:
     """``Fc [N], vs [m/s]``."""
-    return ", ".join(f"{q.name} [{_plain(q.unit)}]" for q in parameters)
+    return ", ".join(f"{q.name} [{write_plain_unit(q.unit)}]" for q in parameters)
 
 
-def _plain(unit: str) -> str:
+def write_plain_unit(unit: str) -> str:
+    """A unit in brackets: that of a place as it is written, and 1 for none."""
     return (unit if "{" in unit else format_unit(unit)) or "1"
 
 

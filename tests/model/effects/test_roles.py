@@ -18,7 +18,7 @@ from greybox.model.effects.roles import ROLES, RoleOwner
 from greybox.model.effects.scales import measure_scales
 from greybox.model.sites import NEEDED
 from greybox.show import text
-from greybox.show.sentences.model import describe_missing, write_roles_page
+from greybox.show.sentences.model import describe_missing
 
 # What an effect sees at its site under these words, whatever the model calls it; and other balances by their names.
 OF_THE_SITE = {*NEEDED, "transmitted", "driven"}
@@ -148,11 +148,6 @@ def test_a_check_tells_roles_places_and_what_lacks() -> None:
     said = text(found, 200, details=True)
     assert "roles           w velocity, i current" in said and "without one: q" in said
     assert "  an input with the role `valve`: valve_dead_zone, valve_hysteresis, valve_lag" in said
-
-
-def test_the_page_is_that_of_the_program() -> None:
-    page = Path(__file__).parents[3] / "docs" / "roles.md"
-    assert page.read_text(encoding="utf-8") == write_roles_page(ROLES)
 
 
 def test_units_tell_a_temperature_and_its_scales() -> None:

@@ -3,7 +3,7 @@
 from greybox.model.effects.catalogue import CATALOGUE, EffectListing, Placement, effect, place_effect
 from greybox.model.signals import Parameter
 from greybox.show import text
-from greybox.show.sentences.model import write_catalogue_page, write_places
+from greybox.show.sentences.model import write_places
 
 FRICTION = effect("coulomb_friction")
 
@@ -64,24 +64,3 @@ def test_an_effect_that_finds_one_place_is_not_said_to_need_another():
         )
     )
     assert lines == ["1 find a place", "  at load: coulomb_friction"]
-
-
-def test_a_section_of_the_page():
-    page = write_catalogue_page((effect("load_dependent_friction"),))
-    assert page.endswith(
-        "## load_dependent_friction\n"
-        "\n"
-        "`-(Fc + mu (sizes of the forces that do not depend on v)) sign(v)`\n"
-        "\n"
-        "Needs a balance of a velocity, in N, N m or per mass, of a rig with `gear`; occasional, with `weight` common.\n"
-        "\n"
-        "- `Fc` [{force}]: friction without load\n"
-        "- `mu` [1]: friction over the force transmitted\n"
-        "\n"
-        "Contains [coulomb_friction](#coulomb_friction).\n"
-        "\n"
-        "Tell it apart: Move at one speed under several loads: this friction grows with the load, Coulomb and viscous friction do not.\n"
-        "\n"
-        "Source: gears and harmonic drives: Hamon, Gautier, Garrec 2010, Dynamic identification of robots with a dry friction model"
-        " depending on load and velocity.\n"
-    )
