@@ -10,47 +10,6 @@ from greybox.shell.project import template_root
 FOLDERS = ("models", "fits", "notebooks")
 # Of the studies those that show how one is written; the others are about this library, and no user's rig needs them.
 STUDIES = ("__init__.py", "cascaded_tanks_base.py", "emps_dry_friction.py", "silverbox_hardening.py")
-README = """# {name}
-
-A greybox project: from measured records to physical parameters with intervals.
-
-- `models/` plants, one a file: balances of named terms, and parameters with unit, bounds and source
-- `fits/` studies to copy from, one a file: question, data (public records), fit, verdict
-- `notebooks/first_hour.ipynb` from a record to what the model lacks, to run in Jupyter
-
-Inside this folder a model is called by its name, and its file is yours to change:
-
-    greybox models                                   the models there are
-    greybox models micro_actuator                    its equations and parameters
-    greybox check micro_actuator                     is it right, and what can a record tell
-    greybox simulate micro_actuator --multisine 2 --band 5:800 --duration 1.5 --sampling-time 2.5e-4 \\
-        --noise x=2e-7 --noise i=5e-3 --output record.csv
-    greybox fit micro_actuator record.csv --fix M=0.01 --fix Ra=8
-
-In Python, from this folder:
-
-    import greybox as gb
-    from models.micro_actuator import micro_actuator
-
-    print(gb.fit(micro_actuator.fix("M", "Ra"), gb.read_csv("record.csv", micro_actuator)))
-"""
-
-
-PLANT_README = """# {name}
-
-A greybox project around one plant:
-
-- `models/{model}.py` the equations, constants with units, bounds and sources; yours to change
-- `twin.py` a simulated plant that does a little more than the model says; writes `train.csv` and `test.csv`
-- `study.toml` model, records and noise: what a fit and a discovery need to know
-
-Inside this folder:
-
-    python twin.py                   records to try things on; later, put your own in their place
-    greybox check study.toml         units, roles, and what the record can tell
-    greybox fit study.toml           constants with intervals, and how well the model explains the record
-    greybox discover study.toml      what the model lacks
-"""
 
 
 def plant_names() -> list[str]:
@@ -85,7 +44,7 @@ def write_project(directory: str | Path, *, plant: str = "", force: bool = False
     if target.exists() and not target.is_dir():
         raise GreyboxError(f"{target} is a file; give a folder for the project")
     sources = _plant_files(plant) if plant else _template_files()
-    readme = PLANT_README if plant else README
+    readme = (template_root() / "plants" / f"{'plant' if plant else 'project'}_readme.md").read_text(encoding="utf-8")
     written = [target / name for name in (*sources, Path("README.md"))]
     present = [path for path in written if path.exists()]
     if present and not force:
