@@ -302,15 +302,11 @@ register(
             f"the constants have changed, and the records do not tell which: {join_names(list(f.values['combination']))} together, none of"
             f" them clearly by itself ({p_statement(f.values['p'])}); a record that moves the machine more, or differently, will tell"
         ),
-        result.ChangeCode.NOISE_GREW: (
-            "the noise of output {subject} has grown to {ratio:.2f} times what it was, and is as random as before: look at the sensor and"
-            " its wiring"
-        ),
-        result.ChangeCode.UNEXPLAINED: (
-            "the model no longer describes output {subject}: its residual is {ratio:.2f} times what the fit left, or no longer random, and"
-            " no change of constants explains it. No effect of the catalogue is established; greybox discover with more records of today"
-            " goes on from here"
-        ),
+        result.ChangeCode.NOISE_GREW: "the noise of output {subject} has grown to {ratio:.2f} times what it was, and is as random as"
+        " before: look at the sensor and its wiring",
+        result.ChangeCode.UNEXPLAINED: "the model no longer describes output {subject}: its residual is {ratio:.2f} times what the fit"
+        " left, or no longer random, and no change of constants explains it. No effect of the catalogue is established; greybox discover"
+        " with more records of today goes on from here",
         result.ChangeCode.DIFFERENT_INPUT: lambda f: (
             f"the records cannot tell: {join_names(f.values['constants']) or 'the constants'} would differ ({p_statement(f.values['p'])}),"
             " but the model lacks something already in the fit, and these records do not show by how much its constants vary where nothing"
@@ -320,36 +316,27 @@ register(
             f"the records cannot tell: {join_names(f.values['constants']) or 'the constants'} could have changed by half unnoticed. Nothing"
             " else has changed"
         ),
-        result.ChangeCode.FIT_FAILED: (
-            "the records cannot tell: the model could not be fitted to them ({status}). Look at the record first, with greybox check"
-        ),
-        result.ChangeCode.CONSTANT_AT_BOUND: (
-            "{subject} was stopped by its bound at {value:.4g}: it is not compared; widen its bounds in the model and fit again"
-        ),
-        result.ChangeCode.MODEL_LACKS_SOMETHING: (
-            "the fit left more than noise: its constants depend on what the input does, and the size of the residual was not compared;"
-            " greybox discover looks for what the model lacks"
-        ),
+        result.ChangeCode.FIT_FAILED: "the records cannot tell: the model could not be fitted to them ({status}). Look at the record"
+        " first, with greybox check",
+        result.ChangeCode.CONSTANT_AT_BOUND: "{subject} was stopped by its bound at {value:.4g}: it is not compared; widen its bounds in"
+        " the model and fit again",
+        result.ChangeCode.MODEL_LACKS_SOMETHING: "the fit left more than noise: its constants depend on what the input does, and the size"
+        " of the residual was not compared; greybox discover looks for what the model lacks",
         result.ChangeCode.SCATTER_ALLOWED: lambda f: (
             f"the constants scatter {SCATTERED_OVER[f.values.get('over', Yardstick.PIECES)]} by {f.values['factor']:.2g} times what their"
             f" intervals say ({f.subject}, {f.values['degrees']} degrees of freedom); the comparison allows for that"
         ),
-        result.ChangeCode.BEYOND_MISSING_PART: (
-            "{subject} has changed by {ratio:.2g} times the most that what the model lacks could do to it, by what the fits leave and how"
-            " the two motions differ in size; a smaller change could not be told from that under another motion"
-        ),
-        result.ChangeCode.SPLIT_FOR_VALIDATION: (
-            "{subject} is the only record of today: an effect was looked for in its first half and judged on its second; a further record,"
-            " with --validate, is the better judge"
-        ),
+        result.ChangeCode.BEYOND_MISSING_PART: "{subject} has changed by {ratio:.2g} times the most that what the model lacks could do to"
+        " it, by what the fits leave and how the two motions differ in size; a smaller change could not be told from that under another"
+        " motion",
+        result.ChangeCode.SPLIT_FOR_VALIDATION: "{subject} is the only record of today: an effect was looked for in its first half and"
+        " judged on its second; a further record, with --validate, is the better judge",
         result.ChangeCode.SAME_RECORD: "{subject} is one of the records of the fit itself: it is no record of today",
         result.ChangeCode.MACHINE_NOT_FITTED: "{subject} is left out: the model could not be fitted to its records ({status})",
         result.ChangeCode.RECORD_NOT_FITTED: lambda f: (
             f"{record_text(f.subject)} is left out: the model could not be fitted to it ({f.values['status']})"
         ),
-        result.ChangeCode.NO_CHANGE_POINT: lambda f: (
-            f"no change point in {count_noun(f.values['records'], 'record')}: what differs between them is chance"
-        ),
+        result.ChangeCode.NO_CHANGE_POINT: "no change point in {records:noun record}: what differs between them is chance",
         result.ChangeRule.CONSTANTS_AS_BEFORE: _check_text("the constants are as before"),
         result.ChangeRule.RESIDUAL_AS_LARGE: _check_text("the residual of {subject} is as large as before"),
         result.ChangeRule.RESIDUAL_AS_WHITE: _check_text("the residual of {subject} is as white as before"),

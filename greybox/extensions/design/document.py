@@ -300,22 +300,14 @@ def _limit_broken(finding: Finding) -> str:
 register(
     {
         CampaignCode.MEASURE: "play {subject} on the rig, write the record to {record}, and run the same command again",
-        DesignCode.WOULD_NOT_DECIDE: (
-            "{subject}: the wrong one would lose by a cost of {cost:.3g} only, and {limit:g} are needed to decide; widen the limits, take"
-            " a longer record, or add a sensor"
-        ),
-        DesignCode.NO_EARLIER_RECORD: lambda f: (
-            f"no record was taken yet: each constant is assumed to be known to {100 * f.values['spread']:.0f} %; keep the limits"
-            " on the safe side, and design again after the first record"
-        ),
+        DesignCode.WOULD_NOT_DECIDE: "{subject}: the wrong one would lose by a cost of {cost:.3g} only, and {limit:g} are needed to"
+        " decide; widen the limits, take a longer record, or add a sensor",
+        DesignCode.NO_EARLIER_RECORD: "no record was taken yet: each constant is assumed to be known to {spread:percent 2}; keep the"
+        " limits on the safe side, and design again after the first record",
         DesignCode.LIMIT_RULES: "the limit of {subject} decides how large the input may be",
-        DesignCode.MODEL_FALLS_SHORT: (
-            "{fault}. The ranges predicted here are those of this model, not of the rig: find what it lacks first (greybox discover),"
-            " or keep the limits well inside what the rig stands"
-        ),
-        DesignCode.RANGE_FROM_RECORDS: (
-            "input {subject} has no limits of its own: it stays between {low:g} and {high:g}, as in the records;"
-            " give --limit to change that"
-        ),
+        DesignCode.MODEL_FALLS_SHORT: "{fault}. The ranges predicted here are those of this model, not of the rig: find what it lacks"
+        " first (greybox discover), or keep the limits well inside what the rig stands",
+        DesignCode.RANGE_FROM_RECORDS: "input {subject} has no limits of its own: it stays between {low:g} and {high:g}, as in the"
+        " records; give --limit to change that",
     }
 )

@@ -198,8 +198,6 @@ register(
             + (f", and {wording.count_noun(f.values['pairs'] - 1, 'other record')} so" if f.values["pairs"] > 1 else "")
             + ": the fleet counts it twice; leave one out"
         ),
-        FleetCode.FINDING_COUNT: lambda f: (
-            f"{f.values['records']} of {wording.count_noun(f.values['of'], 'record')}, {f.subject} the first: {f.values['sentence']}"
-        ),
+        FleetCode.FINDING_COUNT: "{records} of {of:noun record}, {subject} the first: {sentence}",
     }
 )

@@ -198,9 +198,7 @@ def _open(finding: Finding) -> str:
 
 register(
     {
-        RobotCode.AXIS_HELD: (
-            "axis {subject} is not in the record and is taken to stand at zero: its link is a part of what carries it"
-        ),
+        RobotCode.AXIS_HELD: "axis {subject} is not in the record and is taken to stand at zero: its link is a part of what carries it",
         RobotCode.AXIS_WITHOUT_ROWS: "axis {subject} hardly moves, or its torque is not measured: nothing is said of its friction",
         RobotCode.VELOCITY_LATE: lambda f: (
             f"measured velocities of {join_names(f.values['joints'])} are {1e3 * f.values['low']:.2g} to"
@@ -209,21 +207,15 @@ register(
         RobotCode.READ_SELDOM: lambda f: (
             f"positions are new every {1e3 * f.values['step']:.3g} ms, and written more often: rows that repeat them are left out"
         ),
-        RobotCode.LONG_MEMORY: lambda f: (
-            f"what is left of the torques remembers {f.values['memory']:.3g} s, and {f.values['rows']:.3g} s were recorded: the intervals"
-            " may be too narrow; record ten times as long"
-        ),
+        RobotCode.LONG_MEMORY: "what is left of the torques remembers {memory:.3g} s, and {rows:.3g} s were recorded: the intervals may be"
+        " too narrow; record ten times as long",
         RobotCode.RIVAL: lambda f: (
             f"{f.subject}: {WORDS[f.values['kind']]} is probable, and {WORDS[f.values['rival']]} would do nearly as well"
         ),
-        RobotCode.SCALED: lambda f: (
-            f"the rigid bodies weigh {f.values['factor']:.3g} times what {f.subject} says ({f.values['low']:.3g} to {f.values['high']:.3g})"
-            ": the torques read so much too large, by the torque constants, or every mass is"
-        ),
-        RobotCode.NOT_FOLLOWED: lambda f: (
-            f"a quarter of the torque of {join_names(f.values['joints'])} or more is not followed: are its columns those of this joint, in"
-            " these units, with this sign, and in the order of the axes?"
-        ),
+        RobotCode.SCALED: "the rigid bodies weigh {factor:.3g} times what {subject} says ({low:.3g} to {high:.3g}): the torques read so"
+        " much too large, by the torque constants, or every mass is",
+        RobotCode.NOT_FOLLOWED: "a quarter of the torque of {joints:and} or more is not followed: are its columns those of this joint, in"
+        " these units, with this sign, and in the order of the axes?",
         RobotCode.GAIN: lambda f: (
             f"{f.subject} reads {f.values['gain']:.3g} times its torque if the other joints read right; were it these that read"
             f" {1 / f.values['gain']:.3g} times theirs, it would look the same, with masses and frictions {f.values['gain']:.3g} times"
@@ -234,10 +226,8 @@ register(
             f" links weigh what {f.values['source']} says{' beside the payload' * bool(f.values['payload'])}; one known constant"
             " (--torque-constant JOINT=VALUE) or a record with a known payload (--payload RECORD=KG) closes it"
         ),
-        RobotCode.CONSTANT_UNTOLD: lambda f: (
-            f"the record hardly tells what one ampere gives at {join_names(f.values['joints'])}: it is taken as described or as at the"
-            " others, and what is said of friction there is in proportion; --torque-constant JOINT=VALUE states it"
-        ),
+        RobotCode.CONSTANT_UNTOLD: "the record hardly tells what one ampere gives at {joints:and}: it is taken as described or as at the"
+        " others, and what is said of friction there is in proportion; --torque-constant JOINT=VALUE states it",
         RobotCode.PHYSICAL: lambda f: (
             "links whose mass is nowhere negative follow the torques"
             + (

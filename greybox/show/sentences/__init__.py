@@ -3,8 +3,9 @@
 A module of this package serves one package of the library (``sentences/estimation.py`` serves ``greybox.estimation``). It holds
 
 - ``register({code: template})``: one template for each code of findings, checks and other enumerations. A template is a format string
-  over the finding's values and ``subject`` (``"The residual in {subject} is {ratio:.3g} times the sensor noise"``), or a function from
-  the finding to its sentence where a list or a plural has to be written.
+  over the finding's values and ``subject`` (``"The residual in {subject} is {ratio:.3g} times the sensor noise"``), in which lists,
+  plurals, shares and units have specs of their own (`greybox.show.sentences.wording.SentenceFormatter`), or a function from the finding
+  to its sentence where it depends on values.
 - ``@renders("Profile")``: the function that writes a value of the class of that name, as a text or as blocks (`greybox.base.document`). A
   result that has a page is described in `greybox.show.documents`.
 
@@ -34,6 +35,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.base import Check, Finding, to_line
+from greybox.show.sentences.wording import fill_in
 
 Template = str | Callable[[Any], str]
 Writer = Callable[[Any], str | Sequence[Any]]
@@ -103,7 +105,7 @@ def sentence(item: Finding | Check) -> str:
     if not isinstance(template, str):
         text = template(item)
     elif isinstance(item, Finding):
-        text = template.format_map({"subject": item.subject, **item.values})
+        text = fill_in(template, (), {"subject": item.subject, **item.values})
     else:
         text = template.format(
             value=item.value, limit=item.limit, subject=item.subject, outcome="passed" if item.passed else "failed"

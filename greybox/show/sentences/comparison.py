@@ -55,10 +55,6 @@ def _model_name(model: Mapping[str, Any]) -> str:
     return f"{model['name']} ({model['kind']} box, {count} parameter{'' if count == 1 else 's'})"
 
 
-def _listed(template: str) -> Any:
-    return lambda finding: template.format(models=", ".join(finding.values["models"]))
-
-
 @writes(ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS)
 def _bic_of_different_outputs(finding: Finding) -> str:
     listing = "; ".join(f"{name}: {', '.join(outputs)}" for name, outputs in finding.values["outputs"].items())
@@ -79,27 +75,21 @@ def _failure(records: str) -> Callable[[Finding], str]:
 
 register(
     {
-        ComparisonFinding.UNSTABLE_MODELS: _listed("Unstable: {models}."),
-        ComparisonFinding.FEEDTHROUGH_MODELS: _listed(
-            "Direct feed-through within one sample: {models}. A plant with inertia has none; it represents a delay or the input"
-            " between the samples."
-        ),
-        ComparisonFinding.FAILED_FITS: _listed("The fit failed: {models}. Do not judge the model by these errors."),
-        ComparisonFinding.FAILED_MODELS: _listed(
-            "Failed, and no part of this comparison: {models}. Each follows an output worse than a constant does."
-        ),
+        ComparisonFinding.UNSTABLE_MODELS: "Unstable: {models:list}.",
+        ComparisonFinding.FEEDTHROUGH_MODELS: "Direct feed-through within one sample: {models:list}. A plant with inertia has none; it"
+        " represents a delay or the input between the samples.",
+        ComparisonFinding.FAILED_FITS: "The fit failed: {models:list}. Do not judge the model by these errors.",
+        ComparisonFinding.FAILED_MODELS: "Failed, and no part of this comparison: {models:list}. Each follows an output worse than a"
+        " constant does.",
         ComparisonFinding.WORSE_THAN_CONSTANT: _failure("the records that it was fitted to"),
         ComparisonFinding.DIVERGED: _failure("the validation records"),
         ComparisonFinding.FIT_FAILED: lambda finding: f"the fit failed: {status_text(finding.values['status'])}",
         ComparisonFinding.PREDICTION_FILTER: "predictions are corrected by {filter}",
         ComparisonFinding.NO_BLACK_BOX: "{reason}",
         ComparisonFinding.NO_STATE_SPACE: "no state-space model of all inputs and outputs ({reason})",
-        ComparisonFinding.RECORD_RESAMPLED: (
-            "{subject}: resampled to {sampling_time:.6g} s for the black boxes, which need a uniform sampling time"
-        ),
-        ComparisonFinding.MEASURED_ROWS_ONLY: (
-            "{subject}: the black boxes use only the measured rows, every {sampling_time:.6g} s"
-        ),
+        ComparisonFinding.RECORD_RESAMPLED: "{subject}: resampled to {sampling_time:.6g} s for the black boxes, which need a uniform"
+        " sampling time",
+        ComparisonFinding.MEASURED_ROWS_ONLY: "{subject}: the black boxes use only the measured rows, every {sampling_time:.6g} s",
     }
 )
 

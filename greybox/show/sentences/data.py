@@ -13,7 +13,7 @@ from greybox.base.texts import to_word
 from greybox.data.findings import RecordCode
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.show.sentences import register, renders, sentences
-from greybox.show.sentences.wording import count_noun, join_names, percent_text
+from greybox.show.sentences.wording import count_noun, fill_in, join_names
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
@@ -39,7 +39,7 @@ def _about_records(template: str | Callable[[Finding], str]) -> Callable[[Findin
 
     def write(finding: Finding) -> str:
         values = {"subject": finding.subject, "kind": "output", **finding.values}
-        text = template.format_map(values) if isinstance(template, str) else template(finding)
+        text = fill_in(template, (), values) if isinstance(template, str) else template(finding)
         records = finding.values.get("records", ())
         return f"{', '.join(records)}: {text}" if records else text
 
@@ -119,16 +119,11 @@ _UNITS_READ = {
 
 _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.INPUT_CONSTANT: "input '{subject}' is constant at {value:g}",
-    RecordCode.INPUT_FOLLOWS_OUTPUT: lambda f: (
-        f"input {f.subject!r} follows output {f.values['output']!r}: past readings tell {percent_text(f.values['share'], 2)} of what its"
-        " own past leaves open, as in a closed loop; a disturbance that nobody measured then acts on the input too, and what is said of the"
-        " input may be the disturbance's"
-    ),
-    RecordCode.OUTPUT_CONSTANT: "{kind} '{subject}' is constant at {value:g}: a constant signal carries no information; leave"
-    " it out",
-    RecordCode.OUTPUT_GAPS: lambda f: (
-        f"output {f.subject!r} has {count_noun(f.values['gaps'], 'gap')} in {f.values['rows']} rows"
-    ),
+    RecordCode.INPUT_FOLLOWS_OUTPUT: "input {subject!r} follows output {output!r}: past readings tell {share:percent 2} of what its own"
+    " past leaves open, as in a closed loop; a disturbance that nobody measured then acts on the input too, and what is said of the input"
+    " may be the disturbance's",
+    RecordCode.OUTPUT_CONSTANT: "{kind} '{subject}' is constant at {value:g}: a constant signal carries no information; leave it out",
+    RecordCode.OUTPUT_GAPS: "output {subject!r} has {gaps:noun gap} in {rows} rows",
     RecordCode.OUTPUT_UNWRAPPED: "{kind} '{subject}' starts anew every {period:.6g} {unit}: {jumps} jumps taken out",
     RecordCode.TURNS_UNCERTAIN: "{kind} '{subject}' starts anew every {period:.6g} {unit} and may have gone on by more than half of that"
     " unseen, {times} times, first between {start:.6g} and {stop:.6g} s: the number of turns is a guess there; sample it faster, or split"
@@ -138,10 +133,8 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.SENSOR_DEAD: "{kind} '{subject}' stays at exactly {value:g} from {start:.6g} s to the end ({rows} rows) while the"
     " input keeps moving: if the sensor or the logger failed, " + _LEAVE_EMPTY,
     RecordCode.SENSOR_SPIKES: _spikes,
-    RecordCode.SPIKES_LEFT_OUT: lambda f: (
-        f"{count_noun(f.values['count'], 'reading')} of output {f.subject!r} that jump{'s' * (f.values['count'] == 1)} away and back within"
-        " one row left out, as a robust loss was asked for"
-    ),
+    RecordCode.SPIKES_LEFT_OUT: "{count:noun reading} of output {subject!r} that {count:jumps|jump} away and back within one row left out,"
+    " as a robust loss was asked for",
     RecordCode.SENSOR_SATURATED: "{kind} '{subject}' reads exactly its {end} value, {value:g}, in {rows} rows and stays there"
     " {stays} times: if the sensor or the converter saturates, "
     + _LEAVE_EMPTY
@@ -160,18 +153,18 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.INPUT_TAKEN_STRAIGHT: "input {subject} is smooth and carries the noise of a sensor, as what is measured does and a"
     " computer's output does not: it is taken as straight between its rows; if it is held tell so with hold='zero' (shell: --interpolate"
     " {subject}=zero)",
-    RecordCode.TIME_ROUNDED: "time is rounded: steps from {shortest:.6g} to {longest:.6g} s differ by at most one unit of the last"
-    " digit; a uniform step of {sampling_time:.6g} s is assumed",
+    RecordCode.TIME_ROUNDED: "time is rounded: steps from {shortest:.6g} to {longest:.6g} s differ by at most one unit of the last digit;"
+    " a uniform step of {sampling_time:.6g} s is assumed",
     RecordCode.TIME_GAP: lambda f: (
         f"{_time_gap(f)}; split the record there with split_at_time_gaps() (shell: --split-holes)"
     ),
     RecordCode.INPUT_HELD_THROUGH_GAP: _time_gap,
-    RecordCode.TIME_ROWS_MISSING: "{rows} rows are missing in {places} places (usual step {usual_step:.6g} s): the input is assumed"
-    " to continue through each, which is wrong if it moved there",
+    RecordCode.TIME_ROWS_MISSING: "{rows} rows are missing in {places} places (usual step {usual_step:.6g} s): the input is assumed to"
+    " continue through each, which is wrong if it moved there",
     RecordCode.TIME_IRREGULAR: "time is irregular: steps from {shortest:.6g} to {longest:.6g} s; each interval is used as it is",
     RecordCode.TIME_JITTER: "time stamps jitter by {jitter:.2g} s (standard deviation; usual step {usual_step:.4g} s), and the readings do"
-    " not: they were taken regularly and stamped late or early. Leave the time out and give the step (shell: '-' in its place in --columns,"
-    " and --sampling-time SECONDS), or each error of a stamp counts as motion",
+    " not: they were taken regularly and stamped late or early. Leave the time out and give the step (shell: '-' in its place in"
+    " --columns, and --sampling-time SECONDS), or each error of a stamp counts as motion",
     RecordCode.PIECES_LEFT_OUT: _pieces_left_out,
     RecordCode.OUTPUT_NOT_MEASURED: lambda f: (
         f"not measured: output {' and '.join(map(repr, f.values['outputs']))}"
@@ -203,20 +196,18 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.ONE_OF_RUNS: "one of {runs} runs in its file: time restarts with each run",
     RecordCode.RESAMPLED: "resampled to every {sampling_time:.6g} s from {rows} rows",
     RecordCode.NO_TIME: "no column is called time or t: name it (--column time=HEADER), or give the step (--sampling-time SECONDS)",
-    RecordCode.COLUMN_WITH_TEXT: lambda f: (
-        f"{f.subject}: {f.values['count']} of {f.values['rows']} fields are numbers and the others are refused: {f.values['reason']}"
-    ),
+    RecordCode.COLUMN_WITH_TEXT: "{subject}: {count} of {rows} fields are numbers and the others are refused: {reason}",
     RecordCode.TIME_UNUSABLE: lambda f: f"{f.subject + ': ' if f.subject else ''}{f.values['reason']}",
     RecordCode.BROUGHT_TO_ONE_TIME: _brought_to_one_time,
     RecordCode.CLOCK_OFFSET: _clock_offset,
-    RecordCode.CLOCK_OFFSET_BY_RECORDER: "clocks '{reference}' and '{subject}' differ by {offset:.3g} s, by when their messages reached the"
-    " recorder; the stamps of the second are corrected, to a few milliseconds",
+    RecordCode.CLOCK_OFFSET_BY_RECORDER: "clocks '{reference}' and '{subject}' differ by {offset:.3g} s, by when their messages reached"
+    " the recorder; the stamps of the second are corrected, to a few milliseconds",
     RecordCode.CLOCK_START: "clock '{subject}' was started {start:.6g} s after the first, as the file says; its stamps are shifted by that",
     RecordCode.DATES_READ: lambda f: (
         f"{f.subject}: {_STAMPS[f.values['kind']]}, counted in seconds from {f.values['start']}"
     ),
-    RecordCode.MIDNIGHT_PASSED: "{subject}: the time of day starts anew {nights} times, each of which is read as midnight; write the"
-    " date too where days are left out",
+    RecordCode.MIDNIGHT_PASSED: "{subject}: the time of day starts anew {nights} times, each of which is read as midnight; write the date"
+    " too where days are left out",
     RecordCode.SUMMER_TIME: lambda f: (
         f"{f.subject}: the clock was put {'back' if f.values['hours'] > 0 else 'forward'} by an hour before {f.values['at']}, as at a"
         " change of summer time; the hour is taken out (a time zone in the stamps would leave no doubt)"

@@ -323,15 +323,6 @@ def _claim_established(finding: Finding) -> str:
     return f"{text[0].upper()}{text[1:]}{share} ({probability_text(v['probability'])} certain). The name is open."
 
 
-@writes(DiscoveryCode.WITHIN_SENSOR_CLASS)
-def _within_sensor_class(finding: Finding) -> str:
-    v = finding.values
-    return (
-        f"It may be a sensor that is off: what is missing is {wording.percent_text(v['size'], 2)} of the range of {finding.subject}, and a"
-        f" sensor is commonly off by up to {100 * v['limit']:g} %."
-    )
-
-
 def _remaining_text(output: str, values: Mapping[str, Any]) -> str:
     text = (
         f"{wording.quantity_text(values['rmse'], values['unit'], beside=values.get('before', 0.0))} is left in {output}"
@@ -538,12 +529,6 @@ def _refit_elsewhere(finding: Finding) -> str:
     return f"{finding.subject}: the last fit had not settled. Another that begins at these constants{ended} changes {moves}."
 
 
-@writes(DiscoveryCode.DETECTION_LIMIT)
-def _detection_limit(finding: Finding) -> str:
-    v = finding.values
-    return f"{finding.subject} is not detectable below {v['parameter']} = {wording.value_with_unit(v['limit'], v['unit'], 2)}"
-
-
 register(
     {
         # The answer.
@@ -567,6 +552,8 @@ register(
             "The estimation records hardly show it: the misfit of the plain model there is"
             f" {ratio_text(f.values['misfit'], f.values['bounded'])}."
         ),
+        DiscoveryCode.WITHIN_SENSOR_CLASS: "It may be a sensor that is off: what is missing is {size:percent 2} of the range of {subject},"
+        " and a sensor is commonly off by up to {limit:percent 6}.",
         DiscoveryCode.SURROGATE_FITTED: lambda f: f"As a surrogate, {surrogate_text(f.values)}.",
         DiscoveryCode.LAW_PROBABLE: lambda f: (
             f"The most probable law is {_laws_text(f.values['laws'])}; it is not established."
@@ -577,6 +564,7 @@ register(
         ),
         DiscoveryCode.NO_LAW: "No equation among {terms} terms explains it.",
         # What a reader should know.
+        DiscoveryCode.DETECTION_LIMIT: "{subject} is not detectable below {parameter} = {limit@unit:2}",
         DiscoveryCode.LEARNT_FROM_VALIDATION: "the constants of the estimation records alone do not hold on the validation records: the"
         " first half of these was fitted as well, and their second half judges",
         DiscoveryCode.ERRORS_GROW: lambda f: (
@@ -588,22 +576,20 @@ register(
                 " the records (up to {longest:.2g} s they are run freely)"
             )
         ).format(**f.values),
-        DiscoveryCode.TIME_OVER: "from {seconds:.3g} s on, as asked, the search began no further fit: this is the best answer so far,"
-        " and no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
-        DiscoveryCode.SEEN_THROUGH_RESPONSE: lambda f: (
-            f"{f.subject} is run from outside: effects at its inputs were seen through a linear response that follows"
-            f" {wording.percent_text(f.values['share'], 3)} of its own, and those that were found are fitted with the plant itself"
-        ),
+        DiscoveryCode.TIME_OVER: "from {seconds:.3g} s on, as asked, the search began no further fit: this is the best answer so far, and"
+        " no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
+        DiscoveryCode.SEEN_THROUGH_RESPONSE: "{subject} is run from outside: effects at its inputs were seen through a linear response"
+        " that follows {share:percent 3} of its own, and those that were found are fitted with the plant itself",
         DiscoveryCode.NO_INPUT_RESPONSE: "no effect at an input of {subject} was tried: no linear response to its inputs could be found",
         DiscoveryCode.PLANT_DISAGREES: lambda f: (
             f"{f.subject} itself errs otherwise than the model about its run, on which the effects were found: "
             + wording.join_names([f"{ratio:.3g} times as much in {name}" for name, ratio in f.values["ratios"].items()])
         ),
-        DiscoveryCode.PLANT_FAILS: "{subject} itself does not run with {effects}: their constants and errors are those of the model"
-        " about its run",
+        DiscoveryCode.PLANT_FAILS: "{subject} itself does not run with {effects}: their constants and errors are those of the model about"
+        " its run",
         DiscoveryCode.PLANT_RUNS: "{subject} was run {runs} times over a record",
-        DiscoveryCode.MISSING_ON_TEST: "the test records, which took no part in the search, contradict that only noise is left: the"
-        " error of {subject} there is {ratio:.3g} times the noise",
+        DiscoveryCode.MISSING_ON_TEST: "the test records, which took no part in the search, contradict that only noise is left: the error"
+        " of {subject} there is {ratio:.3g} times the noise",
         # Why an effect was not tried.
         DiscoveryCode.NO_PLACE: "the model has no place for it: {reason}",
         DiscoveryCode.EFFECT_PRESENT: "the model contains it already",
@@ -612,9 +598,7 @@ register(
             f"{wording.join_names([effect_title(name) for name in f.values['others']])}"
             f" {'together are' if len(f.values['others']) > 1 else 'is'} exactly the same"
         ),
-        DiscoveryCode.TAKEN_BY_CONSTANTS: lambda f: (
-            f"no record tells it from other values of {wording.join_names(f.values['constants'])}: fix or weigh one of them"
-        ),
+        DiscoveryCode.TAKEN_BY_CONSTANTS: "no record tells it from other values of {constants:and}: fix or weigh one of them",
         DiscoveryCode.EFFECT_LEFT_OUT: "left out as asked",
         DiscoveryCode.PART_MISSING: lambda f: (
             f"it needs {part_text(f.values['part'])}, which the rig lacks{_how_known(f.values['reason'])}"
@@ -633,51 +617,38 @@ register(
         " waveform",
         DiscoveryCode.CONTINUE_WITH_LOOK_ALIKE: "continue with {subject}, which follows the records better, but do not read its parameters"
         " as physics",
-        DiscoveryCode.STATE_NOISE: "give the noise of {subject} (a number or a quiet record): these records show only what it is at"
-        " most, and below that an effect may hide",
+        DiscoveryCode.STATE_NOISE: "give the noise of {subject} (a number or a quiet record): these records show only what it is at most,"
+        " and below that an effect may hide",
         DiscoveryCode.EXTEND_ESTIMATION_RECORDS: "use longer estimation records, or records with the range of the validation records:"
         " these hardly show the missing effect",
-        DiscoveryCode.COVER_VALIDATION_RANGE: lambda f: (
-            f"use estimation records that cover the whole range: the validation records reach from {f.values['least']:.3g} to"
-            f" {wording.value_with_unit(f.values['most'], f.values['unit'])} in {f.subject}, the estimation records only from"
-            f" {f.values['low']:.3g} to {wording.value_with_unit(f.values['high'], f.values['unit'])}"
-        ),
+        DiscoveryCode.COVER_VALIDATION_RANGE: "use estimation records that cover the whole range: the validation records reach from"
+        " {least:.3g} to {most@unit:3} in {subject}, the estimation records only from {low:.3g} to {high@unit:3}",
         DiscoveryCode.SUSPECT_MAINS: "check grounding, shields and the supply of drive and sensor: the tone is at the mains frequency of"
         " {mains:.0f} Hz or a multiple of it",
         DiscoveryCode.SUSPECT_MACHINE: "look for a rotating or switching machine at {frequency:.4g} Hz near the rig; a record with zero"
         " input shows the tone alone",
-        DiscoveryCode.USE_TONE_MODEL: "if the tone remains, reject it with a notch filter, or with an observer that contains the model"
-        " and its tone generator",
-        DiscoveryCode.SUSPECT_MEMORY: "record the same motion slowly and fast, and at two amplitudes: no function of one variable"
-        " explains the missing signal, so the effect may have memory (play, hysteresis, creep, a part with its own motion)",
-        DiscoveryCode.LOOK_AT_STRETCH: lambda f: (
-            f"look at what happens from {f.values['start']:.4g} to {f.values['end']:.4g} s of {f.subject}:"
-            f" {wording.percent_text(f.values['share'], 2)} of the misfit lies in"
-            f" {wording.percent_text(f.values['time_share'], 2)} of the time, so something acts then that the model does not have"
-        ),
-        DiscoveryCode.TRACE_LOOP: lambda f: (
-            f"record {f.subject} up and down over its range, once slowly and once fast: the missing signal differs between the way up and"
-            " the way down; a loop that stays when slow is play or hysteresis, one that shrinks is a lag or a loss that grows with speed"
-        ),
-        DiscoveryCode.TRACE_CURVE: lambda f: (
-            f"record {f.subject} slowly over its whole range: the missing signal is a function of it (explains"
-            f" {wording.percent_text(f.values['share'], 2)}), and there its curve shows by itself"
-        ),
+        DiscoveryCode.USE_TONE_MODEL: "if the tone remains, reject it with a notch filter, or with an observer that contains the model and"
+        " its tone generator",
+        DiscoveryCode.SUSPECT_MEMORY: "record the same motion slowly and fast, and at two amplitudes: no function of one variable explains"
+        " the missing signal, so the effect may have memory (play, hysteresis, creep, a part with its own motion)",
+        DiscoveryCode.LOOK_AT_STRETCH: "look at what happens from {start:.4g} to {end:.4g} s of {subject}: {share:percent 2} of the misfit"
+        " lies in {time_share:percent 2} of the time, so something acts then that the model does not have",
+        DiscoveryCode.TRACE_LOOP: "record {subject} up and down over its range, once slowly and once fast: the missing signal differs"
+        " between the way up and the way down; a loop that stays when slow is play or hysteresis, one that shrinks is a lag or a loss that"
+        " grows with speed",
+        DiscoveryCode.TRACE_CURVE: "record {subject} slowly over its whole range: the missing signal is a function of it (explains"
+        " {share:percent 2}), and there its curve shows by itself",
         DiscoveryCode.SUSPECT_PERIODIC_PART: "look for magnets, teeth, a thread or a bearing with a period of {period:.3g} {unit}: the"
         " missing signal is periodic in {subject}",
-        DiscoveryCode.SUSPECT_CONTACT: "inspect the rig where {subject} is about {position:.3g} {unit}: the curve bends there, as with"
-        " a stop, a contact or the end of a guide",
+        DiscoveryCode.SUSPECT_CONTACT: "inspect the rig where {subject} is about {position:.3g} {unit}: the curve bends there, as with a"
+        " stop, a contact or the end of a guide",
         DiscoveryCode.USE_CURVE_MODEL: "continue with the model that contains the curve, or take its law from the figure and write your"
         " own effect",
         DiscoveryCode.VARY_SPEED_AND_AMPLITUDE: "record the same motion slowly and fast, and at two amplitudes: the curve explains a part,"
         " and the rest depends on more than {subject}",
-        DiscoveryCode.VARY_OTHER_VARIABLE: lambda f: (
-            f"record the same range of {f.subject} at several levels of {f.values['other']}: the curve over {f.subject} explains a part,"
-            f" and the missing signal depends on {f.values['other']} too (explains {wording.percent_text(f.values['share'], 2)})"
-        ),
-        DiscoveryCode.MEASURE_MORE: lambda f: (
-            f"measure {' and '.join(f.values['outputs'])} as well, to narrow down the site"
-        ),
+        DiscoveryCode.VARY_OTHER_VARIABLE: "record the same range of {subject} at several levels of {other}: the curve over {subject}"
+        " explains a part, and the missing signal depends on {other} too (explains {share:percent 2})",
+        DiscoveryCode.MEASURE_MORE: "measure {outputs:and} as well, to narrow down the site",
         # Steps of the search.
         DiscoveryCode.LAW_TERMS_RANKED: "{terms} terms of equations ranked",
         DiscoveryCode.BASELINE_FITTED: lambda f: (

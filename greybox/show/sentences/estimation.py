@@ -352,18 +352,6 @@ def write_record_trend(finding: Finding) -> str:
     return text
 
 
-@writes(EstimationCode.HELD_BY_PRIOR)
-def _write_held_by_prior(finding: Finding) -> str:
-    names = finding.values["parameters"]
-    return f"determined by {'its prior' if len(names) == 1 else 'their priors'}: {', '.join(names)}; the data add little or nothing"
-
-
-@writes(EstimationCode.TIED_OUTSIDE_BOUNDS)
-def _write_tied_outside(finding: Finding) -> str:
-    v, unit = finding.values, format_unit(finding.values["unit"])
-    return f"the tied parameter {finding.subject} is outside its bounds: {v['value']:.5g} {unit}, bounds [{v['low']}, {v['high']}] {unit}"
-
-
 @writes(EstimationCode.ROBUST_LOSS_OUTLIERS)
 def _write_outliers(finding: Finding) -> str:
     shares = finding.values["shares"]
@@ -371,18 +359,6 @@ def _write_outliers(finding: Finding) -> str:
     left_out = wording.join_names([f"{count} of {name}" for name, count in finding.values.get("left_out", {}).items()])
     bursts = f"; readings in bursts, {left_out}, are left out" if left_out else ""
     return f"robust loss ({finding.values['loss']}): {counted}{bursts}"
-
-
-@writes(EstimationCode.CONSTANT_OUTPUT_EXCLUDED)
-def _write_excluded(finding: Finding) -> str:
-    names = finding.values["outputs"]
-    verb, noise, sensors, them = (
-        ("is", "its", "sensor", "it") if len(names) == 1 else ("are", "their", "sensors", "them")
-    )
-    return (
-        f"excluded: {', '.join(names)} {verb} constant, so {noise} noise cannot be estimated (the {sensors} may be dead); give {noise}"
-        f" noise to include {them}"
-    )
 
 
 @writes(
@@ -473,58 +449,49 @@ def _write_no_start_helps(finding: Finding) -> str:
 
 register(
     {
-        EstimationCode.PREDICTION_RATIO: (
-            "prediction error {one_step:.3g} times the noise in {subject} one step ahead, simulation error {free_run:.3g} times"
-        ),
+        EstimationCode.PREDICTION_RATIO: "prediction error {one_step:.3g} times the noise in {subject} one step ahead, simulation error"
+        " {free_run:.3g} times",
         EstimationCode.FILTER_NOT_FINITE: "the Kalman filter diverges in experiment {experiment}: its values are not finite",
         EstimationCode.STATES_DIVERGE: lambda f: (
             f"{_write_place(f)}: the states diverge, although every term is finite; the largest is {f.subject!r}, at {_write_point(f)}"
         ),
-        EstimationCode.SENSITIVITY_NOT_FINITE: (
-            "the simulation of experiment {experiment} succeeds, but its sensitivity to the parameters is not finite: a term has an"
-            " infinite slope, as sqrt has at 0; set a bound on the state in this term, or rewrite the term with a finite slope"
-        ),
-        EstimationCode.PLANT_RUN_FAILED: (
-            "{subject} does not run over experiment {experiment} from its start values ({reason}): give others"
-            " (model.start(...), shell: --start)"
-        ),
+        EstimationCode.SENSITIVITY_NOT_FINITE: "the simulation of experiment {experiment} succeeds, but its sensitivity to the parameters"
+        " is not finite: a term has an infinite slope, as sqrt has at 0; set a bound on the state in this term, or rewrite the term with a"
+        " finite slope",
+        EstimationCode.PLANT_RUN_FAILED: "{subject} does not run over experiment {experiment} from its start values ({reason}): give"
+        " others (model.start(...), shell: --start)",
         EstimationCode.DIRECTION_UNDETERMINED: lambda f: f"not determined by these data: {_write_open(f)}",
-        EstimationCode.NO_FREEDOM: (
-            "{readings} readings for {unknowns} constants and first states: nothing is left that would tell the noise, so no interval can"
-            " be given; tell the noise (--noise), or record more rows"
+        EstimationCode.NO_FREEDOM: "{readings} readings for {unknowns} constants and first states: nothing is left that would tell the"
+        " noise, so no interval can be given; tell the noise (--noise), or record more rows",
+        EstimationCode.STOPPED_BY_BOUND: "stopped by a bound: {parameters:list}; widen the bound, or add the effect that the model lacks",
+        EstimationCode.PARAMETER_UNDETERMINED: "not determined (the 95 % interval exceeds half the value): {parameters:list}",
+        EstimationCode.HELD_BY_PRIOR: "determined by {parameters:its prior|their priors}: {parameters:list}; the data add little or"
+        " nothing",
+        EstimationCode.TIED_OUTSIDE_BOUNDS: lambda f: (
+            "the tied parameter {subject} is outside its bounds: {value:.5g} {unit}, bounds [{low}, {high}] {unit}".format_map(
+                {"subject": f.subject, **f.values, "unit": format_unit(f.values["unit"])}
+            )
         ),
-        EstimationCode.STOPPED_BY_BOUND: lambda f: (
-            f"stopped by a bound: {', '.join(f.values['parameters'])}; widen the bound, or add the effect that the model lacks"
-        ),
-        EstimationCode.PARAMETER_UNDETERMINED: lambda f: (
-            f"not determined (the 95 % interval exceeds half the value): {', '.join(f.values['parameters'])}"
-        ),
+        EstimationCode.CONSTANT_OUTPUT_EXCLUDED: "excluded: {outputs:list} {outputs:is|are} constant, so {outputs:its|their} noise cannot"
+        " be estimated (the {outputs:sensor|sensors} may be dead); give {outputs:its|their} noise to include {outputs:it|them}",
+        EstimationCode.INPUT_BEFORE_OPEN: "record {subject} begins in motion, and for {seconds:.4g} s it shows what {input} was before:"
+        " taken is its first value, {first@unit:6}; state another with --before {input}=VALUE (before=), or begin at --from {until:.4g},"
+        " from where the record knows it",
         EstimationCode.NOTHING_TO_EXPLAIN: lambda f: (
             f"the records move no more than their noise (best fit {_write_best_fits(f.values['best_fit'])}): a constant output does as"
             " well, and the parameters mean nothing; use an input that moves the plant"
         ),
-        EstimationCode.MISFIT_ABOVE_NOISE: (
-            "the misfit exceeds the noise: the model is incomplete, and its parameters may be biased"
-        ),
-        EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE: (
-            "the misfit exceeds the noise estimated from differences of the records: the model is incomplete, or the noise is"
-            " coloured (a quiet record shows which)"
-        ),
-        EstimationCode.RESIDUAL_CORRELATED: lambda f: (
-            f"the residual of {', '.join(f.values['outputs'])} is correlated from sample to sample: the intervals allow for it and are"
-            f" up to {f.values['inflation']:.2g} times as wide as for white noise"
-        ),
-        EstimationCode.INNOVATIONS_CORRELATED: (
-            "the innovations are correlated from sample to sample: the model or its noise model is incomplete; the intervals allow"
-            " for it and are up to {inflation:.2g} times as wide as for white innovations"
-        ),
-        EstimationCode.INTEGRATION_TOO_COARSE: lambda f: (
-            f"the integration error exceeds a tenth of the noise in {', '.join(f.values['outputs'])}: increase the number of substeps"
-        ),
-        EstimationCode.RELATION_NOT_MET: (
-            "the balance {subject} stores nothing, and its terms miss zero by {share:.2g} of the largest: give {state} a start value of"
-            " the right size, and bounds"
-        ),
+        EstimationCode.MISFIT_ABOVE_NOISE: "the misfit exceeds the noise: the model is incomplete, and its parameters may be biased",
+        EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE: "the misfit exceeds the noise estimated from differences of the records: the model"
+        " is incomplete, or the noise is coloured (a quiet record shows which)",
+        EstimationCode.RESIDUAL_CORRELATED: "the residual of {outputs:list} is correlated from sample to sample: the intervals allow for"
+        " it and are up to {inflation:.2g} times as wide as for white noise",
+        EstimationCode.INNOVATIONS_CORRELATED: "the innovations are correlated from sample to sample: the model or its noise model is"
+        " incomplete; the intervals allow for it and are up to {inflation:.2g} times as wide as for white innovations",
+        EstimationCode.INTEGRATION_TOO_COARSE: "the integration error exceeds a tenth of the noise in {outputs:list}: increase the number"
+        " of substeps",
+        EstimationCode.RELATION_NOT_MET: "the balance {subject} stores nothing, and its terms miss zero by {share:.2g} of the largest:"
+        " give {state} a start value of the right size, and bounds",
         EstimationCode.NOISE_SHARED: lambda f: (
             f"{f.subject} and {f.values['other']} seem to be one measurement: what the model leaves of them agrees like one noise"
             f" (correlation {f.values['shared']:.2f}); "
@@ -534,42 +501,28 @@ register(
                 else "then its data count twice, and intervals are too narrow; leave one out"
             )
         ),
-        EstimationCode.START_IN_FIRST_ROW: lambda f: (
-            f"record {f.subject} begins at {f.values['time']:g} s, and the start of {', '.join(f.values['states'])} is taken to hold there;"
-            " where it holds at 0 s, begin the record with a row at 0 s without a reading"
-        ),
-        EstimationCode.VALIDATION_ERROR_LARGER: (
-            "the simulation error in {subject} is {ratio:.1f} times that on the estimation records: a free run accumulates small errors"
-            " of force and offset, above all if the plant integrates, and parameters change from day to day; validate on shorter"
-            " records as well"
-        ),
-        EstimationCode.RESIDUAL_OF_STEPS: lambda f: (
-            f"the reading {f.subject} has steps of {f.values['step']:.3g}, which by themselves make"
-            f" {wording.percent_text(f.values['share'], 2)} of the mean square of its residual: no model does much better"
-        ),
+        EstimationCode.START_IN_FIRST_ROW: "record {subject} begins at {time:g} s, and the start of {states:list} is taken to hold there;"
+        " where it holds at 0 s, begin the record with a row at 0 s without a reading",
+        EstimationCode.VALIDATION_ERROR_LARGER: "the simulation error in {subject} is {ratio:.1f} times that on the estimation records: a"
+        " free run accumulates small errors of force and offset, above all if the plant integrates, and parameters change from day to day;"
+        " validate on shorter records as well",
+        EstimationCode.RESIDUAL_OF_STEPS: "the reading {subject} has steps of {step:.3g}, which by themselves make {share:percent 2} of"
+        " the mean square of its residual: no model does much better",
         EstimationCode.RESIDUAL_OF_JITTER: lambda f: (
             f"the residual of {f.subject} grows with the rate at which it moves, as with time stamps that are off by"
             f" {f.values['jitter']:.2g} s (standard deviation,"
             f" {wording.percent_text(f.values['jitter'] / f.values['usual_step'], 2)} of the step): that makes"
             f" {wording.percent_text(f.values['share'], 2)} of its mean square"
         ),
-        EstimationCode.MEAN_OF_EXPERIMENTS: lambda f: (
-            f"each experiment has its own value of {', '.join(f.values['parameters'])}: the fitted model has the mean, and a validation"
-            " uses the mean"
-        ),
-        EstimationCode.CONDITION_OF_RECORDS: (
-            "{subject} is no constant of the model: constants that each record has for itself are held against it"
-        ),
-        EstimationCode.TOO_MANY_OUTLIERS: lambda f: (
-            f"too many samples of {', '.join(f.values['outputs'])} count as outliers: the model is incomplete, or the noise is"
-            " larger than assumed"
-        ),
-        EstimationCode.NOISE_COLOUR_IGNORED: (
-            "the noise is coloured, but a fit with process noise assumes white noise"
-        ),
-        EstimationCode.STARTS_NOT_BEGUN: (
-            "{left:d} of {starts:d} starts were not finished within {seconds:.3g} s; repeat the command to continue with them"
-        ),
+        EstimationCode.MEAN_OF_EXPERIMENTS: "each experiment has its own value of {parameters:list}: the fitted model has the mean, and a"
+        " validation uses the mean",
+        EstimationCode.CONDITION_OF_RECORDS: "{subject} is no constant of the model: constants that each record has for itself are held"
+        " against it",
+        EstimationCode.TOO_MANY_OUTLIERS: "too many samples of {outputs:list} count as outliers: the model is incomplete, or the noise is"
+        " larger than assumed",
+        EstimationCode.NOISE_COLOUR_IGNORED: "the noise is coloured, but a fit with process noise assumes white noise",
+        EstimationCode.STARTS_NOT_BEGUN: "{left:d} of {starts:d} starts were not finished within {seconds:.3g} s; repeat the command to"
+        " continue with them",
     }
 )
 
@@ -608,17 +561,6 @@ def write_correction(correction: PredictionCorrection) -> str:
         return f"autoregression of the simulation error ({orders})" if orders else "none: the simulation error is white"
     estimated = " estimated" if correction.kind == "estimated_kalman_filter" else ""
     return f"Kalman filter, process noise{estimated} on {', '.join(correction.model.noisy_states)}"
-
-
-@writes(EstimationCode.INPUT_BEFORE_OPEN)
-def _write_input_before(finding: Finding) -> str:
-    v = finding.values
-    first = wording.with_unit(f"{v['first']:.6g}", v["unit"])
-    return (
-        f"record {finding.subject} begins in motion, and for {v['seconds']:.4g} s it shows what {v['input']} was before: taken is its first"
-        f" value, {first}; state another with --before {v['input']}=VALUE (before=), or begin at --from {v['until']:.4g}, from where the"
-        " record knows it"
-    )
 
 
 @writes(ResultCode.OTHER_CONSTANT)
@@ -707,9 +649,8 @@ def _write_strategy(finding: Finding) -> str:
         text += f"; {v['held_samples']} samples lie at a bound of a state"
     text += {
         "free_run": "; then a free run from that result, as the noise model, the cost or the steps require",
-        "white_noise": (
-            "; the noise is assumed to be white, because a free run does not follow this plant; the intervals allow for its colour"
-        ),
+        "white_noise": "; the noise is assumed to be white, because a free run does not follow this plant; the intervals allow for its"
+        " colour",
         "went_on": "; that led no farther, and the search went on by free runs from the best point",
     }.get(v.get("completion", ""), "")
     if not v.get("reason"):
@@ -740,20 +681,14 @@ def _write_transcription(name: str, v: Mapping[str, Any]) -> str:
 register(
     {
         TranscriptionReason.STABLE: "the model is stable and not stiff",
-        TranscriptionReason.UNSTABLE: (
-            "the model is unstable: errors grow at {rate:.3g} 1/s, by e^{exponent:.3g} over the record of {duration:.4g} s, too far for"
-            " a free run"
-        ),
-        TranscriptionReason.FREE_RUN_FOLLOWS: (
-            "the model is stiff, and a free run follows the records although errors may grow at {rate:.3g} 1/s"
-        ),
+        TranscriptionReason.UNSTABLE: "the model is unstable: errors grow at {rate:.3g} 1/s, by e^{exponent:.3g} over the record of"
+        " {duration:.4g} s, too far for a free run",
+        TranscriptionReason.FREE_RUN_FOLLOWS: "the model is stiff, and a free run follows the records although errors may grow at"
+        " {rate:.3g} 1/s",
         TranscriptionReason.STIFF_IMPLICIT: f"{_STIFF}; a few implicit steps suffice",
-        TranscriptionReason.STIFF_NOT_SMOOTH: (
-            f"{_STIFF}; collocation does not handle sticking, switching or delays, so the fit takes these steps"
-        ),
-        TranscriptionReason.STIFF_LONG: (
-            f"{_STIFF}; {{samples}} samples are too many for collocation, so the fit takes these steps"
-        ),
+        TranscriptionReason.STIFF_NOT_SMOOTH: f"{_STIFF}; collocation does not handle sticking, switching or delays, so the fit takes these"
+        " steps",
+        TranscriptionReason.STIFF_LONG: f"{_STIFF}; {{samples}} samples are too many for collocation, so the fit takes these steps",
         TranscriptionReason.STIFF_COLLOCATION: f"{_STIFF}; collocation at Radau points needs one",
         TranscriptionReason.INTEGRATING_SHORT: _write_integrating(
             "a free run stays near the data over this short time"

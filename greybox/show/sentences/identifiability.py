@@ -111,13 +111,10 @@ register(
     {
         IdentifiabilityCode.FIX_CONSTANTS: lambda f: describe_closing(f.values),
         IdentifiabilityCode.NO_INPUT_MOVES: "no input moves: only the response to the initial state carries information",
-        IdentifiabilityCode.EXCITATION_ORDER_LOW: lambda f: (
-            f"{', '.join(f.values['inputs'])}: persistently exciting of order {f.values['order']}, but the model has"
-            f" {f.values['needed']} coefficients for each output: only transients determine the rest; use more tones, a sweep or random"
-            " levels"
-        ),
-        IdentifiabilityCode.EXCITATION_BAND_NARROW: "the input excites up to {band:.3g} rad/s, but the fastest mode of the model is"
-        " at {fastest:.3g} rad/s; excite up to that frequency",
+        IdentifiabilityCode.EXCITATION_ORDER_LOW: "{inputs:list}: persistently exciting of order {order}, but the model has {needed}"
+        " coefficients for each output: only transients determine the rest; use more tones, a sweep or random levels",
+        IdentifiabilityCode.EXCITATION_BAND_NARROW: "the input excites up to {band:.3g} rad/s, but the fastest mode of the model is at"
+        " {fastest:.3g} rad/s; excite up to that frequency",
         IdentifiabilityCode.RECORDS_SHOW_FEWER: lambda f: (
             f"any record can determine {f.values['structure']} combinations, these records only {f.values['records']}: use another"
             f" {'input' if f.values.get('driven', True) else 'initial state'}, reduce the noise"

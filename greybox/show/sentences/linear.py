@@ -114,38 +114,24 @@ register(
         ExportFinding.FIT_FAILED: lambda finding: (
             f"the fit failed ({status_text(finding.values['status'])}): do not use its parameters"
         ),
-        ExportFinding.PLAY_CLOSED: (
-            "{subject} cannot be linearised: {state} either stays or moves with the plant; the play is assumed to be closed, as in a"
-            " large motion in one direction"
-        ),
-        ExportFinding.INPUT_BETWEEN_ROWS: (
-            "{subject} says what the input did between the rows of the record; a step from sample to sample holds its input, so its"
-            " outputs differ from those of the fit. Step it at a shorter interval, with the input that acts there"
-        ),
+        ExportFinding.PLAY_CLOSED: "{subject} cannot be linearised: {state} either stays or moves with the plant; the play is assumed to"
+        " be closed, as in a large motion in one direction",
+        ExportFinding.INPUT_BETWEEN_ROWS: "{subject} says what the input did between the rows of the record; a step from sample to sample"
+        " holds its input, so its outputs differ from those of the fit. Step it at a shorter interval, with the input that acts there",
         ExportFinding.ABOUT_THE_MEANS: lambda finding: (
             "inputs act by products and no operating point was chosen: it is linearised about the means of the inputs in the records, "
             + ", ".join(f"{name} = {value:.4g}" for name, value in finding.values["inputs"].items())
         ),
-        ExportFinding.ABOUT_A_RUN: (
-            "the plant is run from outside: the linear model is its answer to small changes of the inputs along {subject}, of"
-            " which it follows {share:.0%} at least"
-        ),
-        ExportFinding.DELAY_APPROXIMATED: (
-            "the delay of {delay:.4g} s of {subject} is a Pade approximation of order {order}, accurate up to about {limit:.3g} rad/s;"
-            " use a sampled model (dt) for the exact delay"
-        ),
-        ExportFinding.DECAY_UNDERSAMPLED: (
-            "the sampling time {dt:g} s is too long: every mode decays within one sample (the slowest in {time_constant:.2g} s); use"
-            " {proposed:.2g} s or less"
-        ),
-        ExportFinding.TUSTIN_RINGS: (
-            "Tustin's method at {dt:g} s maps the pole at {pole:.4g} 1/s to one that alternates from sample to sample; use zoh, or"
-            " {proposed:.2g} s or less"
-        ),
-        ExportFinding.PARAMETERS_NOT_DRAWN: lambda finding: (
-            f"{', '.join(finding.values['parameters'])}: no covariance (at a bound, or not determined by the records); kept at the"
-            " fitted value"
-        ),
+        ExportFinding.ABOUT_A_RUN: "the plant is run from outside: the linear model is its answer to small changes of the inputs along"
+        " {subject}, of which it follows {share:.0%} at least",
+        ExportFinding.DELAY_APPROXIMATED: "the delay of {delay:.4g} s of {subject} is a Pade approximation of order {order}, accurate up"
+        " to about {limit:.3g} rad/s; use a sampled model (dt) for the exact delay",
+        ExportFinding.DECAY_UNDERSAMPLED: "the sampling time {dt:g} s is too long: every mode decays within one sample (the slowest in"
+        " {time_constant:.2g} s); use {proposed:.2g} s or less",
+        ExportFinding.TUSTIN_RINGS: "Tustin's method at {dt:g} s maps the pole at {pole:.4g} 1/s to one that alternates from sample to"
+        " sample; use zoh, or {proposed:.2g} s or less",
+        ExportFinding.PARAMETERS_NOT_DRAWN: "{parameters:list}: no covariance (at a bound, or not determined by the records); kept at the"
+        " fitted value",
     }
 )
 

@@ -10,40 +10,28 @@ from typing import TYPE_CHECKING
 from greybox.base.document import Block, Paragraphs, TableBlock
 from greybox.base.texts import to_word
 from greybox.show.printers.text import table_lines
-from greybox.show.sentences import register, renders, writes
+from greybox.show.sentences import register, renders
 from greybox.show.sentences.wording import count_noun
 
 if TYPE_CHECKING:
-    from greybox.base import Finding
     from greybox.base.extensions import Extension
     from greybox.shell.project import ModelListing
-
-
-@writes("record_split")
-def _record_split(finding: Finding) -> str:
-    pieces = finding.values["pieces"]
-    return f"{finding.subject} is split into {pieces} record{'s' * (pieces != 1)} at the gaps in time"
-
-
-@writes("files_replaced")
-def _files_replaced(finding: Finding) -> str:
-    files = finding.values["files"]
-    return f"{', '.join(map(str, files))} held something else and {'was' if len(files) == 1 else 'were'} overwritten"
 
 
 # The codes are those of greybox.shell.terminal, a later package.
 register(
     {
+        "record_split": "{subject} is split into {pieces:noun record} at the gaps in time",
+        "files_replaced": "{files:list} held something else and {files:was|were} overwritten",
         "split_without_effect": "--split-holes has no effect: time has no gap and does not restart in any record",
         "pieces_at_rest": "with --at-rest each piece starts at rest; omit --at-rest if the plant still moves after a gap",
-        "substeps_without_effect": (
-            "--substeps {substeps} has no effect on a linear model, which is integrated exactly; use --method rk4 for substeps"
-        ),
+        "substeps_without_effect": "--substeps {substeps} has no effect on a linear model, which is integrated exactly; use --method rk4"
+        " for substeps",
         "other_model_in_study": lambda f: (
             f"{f.subject}: written for another model: {'; '.join(f.values['lines'][:3])}"
             + f"; and {len(f.values['lines']) - 3} lines more" * (len(f.values["lines"]) > 3)
         ),
-        "study_fields_unused": lambda f: f"{f.subject}: a check does not use {', '.join(f.values['places'])}",
+        "study_fields_unused": "{subject}: a check does not use {places:list}",
         "unused_parameter": "parameter {subject!r} is in no equation: a term is missing, or the parameter is not needed",
     }
 )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import string
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from greybox.estimation.result_parts import Misfit
@@ -101,6 +102,46 @@ def as_sentence(text: str) -> str:
     """With a capital at its beginning, where that is a word, and a full stop at its end."""
     text = capitalise(text.strip())
     return text + ("" if text.endswith((".", "!", "?", ":")) or not text else ".")
+
+
+class _Quantity(NamedTuple):
+    value: float
+    unit: str
+
+
+class SentenceFormatter(string.Formatter):
+    """What templates of sentences are filled in by: format strings that know lists, plurals, shares and units as well.
+
+    ``{names:list}`` is ``a, b, c`` and ``{names:and}`` is ``a, b and c``; ``{gaps:noun gap}`` is ``2 gaps``; ``{names:is|are}`` goes by how
+    many there are; ``{share:percent 2}`` is ``12 %``; ``{limit@unit:3}`` is a value with its unit, to three digits.
+    """
+
+    def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
+        """The value of a name, or a quantity of two."""
+        name, at, unit = str(key).partition("@")
+        return _Quantity(kwargs[name], kwargs[unit]) if at else kwargs[name]
+
+    def format_field(self, value: Any, spec: str) -> str:
+        """A value as its spec says."""
+        kind, _, rest = spec.partition(" ")
+        if isinstance(value, _Quantity):
+            return value_with_unit(*value, int(spec))
+        if "|" in spec:
+            one, several = spec.split("|")
+            return one if (value if isinstance(value, int) else len(value)) == 1 else several
+        match kind:
+            case "list":
+                return ", ".join(map(str, value))
+            case "and":
+                return join_names(list(value))
+            case "noun":
+                return count_noun(value, rest)
+            case "percent":
+                return percent_text(value, int(rest))
+        return str(format(value, spec))
+
+
+fill_in = SentenceFormatter().vformat
 
 
 # Numbers and tables in plain text, for every renderer.
