@@ -25,15 +25,7 @@ import greybox as gb
 from fits.hidden_cases import Case
 from greybox.base.errors import ModelError
 from greybox.base.json_shape import to_values
-from greybox.discovery.claims import (
-    ESTABLISHED_FROM,
-    Claim,
-    Depth,
-    EffectForm,
-    Features,
-    describe_effect,
-    to_features,
-)
+from greybox.discovery.claims import ESTABLISHED_FROM, Claim, Depth, EffectForm, Features, describe_effect, to_features
 from greybox.discovery.decision import Grade
 from greybox.model.effects.catalogue import all_effects
 

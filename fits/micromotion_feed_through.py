@@ -26,11 +26,7 @@ import numpy as np
 import greybox as gb
 from fits import micromotion_printed as printed
 from fits.micromotion_chirp import physical
-from fits.micromotion_smoothing import (
-    MonteCarloSmoothing,
-    StepResponseConstants,
-    monte_carlo_smoothing,
-)
+from fits.micromotion_smoothing import MonteCarloSmoothing, StepResponseConstants, monte_carlo_smoothing
 from fits.micromotion_twin import DELAY, MICRO, SAMPLING_TIME, SEED, in_micrometres, motion, step_record
 from fits.paper_page import MEASURED, MODELS, Say, docs_folder, legend, markdown, picture, save, write_section
 from greybox.comparison.blackbox.prediction_error_models import output_error

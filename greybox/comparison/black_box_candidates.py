@@ -103,9 +103,7 @@ def fit_black_boxes(
 
 
 def check_sampling_times(
-    training: Sequence[Experiment],
-    validation: Sequence[Experiment],
-    outputs: Sequence[str],
+    training: Sequence[Experiment], validation: Sequence[Experiment], outputs: Sequence[str]
 ) -> None:
     """DataError, before anything is fitted, for a validation record of another sampling time than the black boxes will have."""
     regular, _ = _make_regular(training)

@@ -101,12 +101,7 @@ def _find_best(comparison: result.Comparison, output: str, measure: str) -> Find
     if rivals:
         error, rival = rivals[0]
         equal = bool(error <= (1 + EQUALLY_GOOD) * least)
-        values |= {
-            "rival": _identify(rival),
-            "rival_error": error,
-            "equally_good": equal,
-            "tolerance": EQUALLY_GOOD,
-        }
+        values |= {"rival": _identify(rival), "rival_error": error, "equally_good": equal, "tolerance": EQUALLY_GOOD}
     return Finding(result.ComparisonFinding.BEST_MODEL, subject=output, values=values)
 
 

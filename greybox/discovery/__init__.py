@@ -19,10 +19,7 @@ from greybox.discovery.localisation import (
     localise_residual,
 )
 from greybox.discovery.pipeline import discover
-from greybox.discovery.policy import (
-    DiscoveryPolicy,
-    SelectionPolicy,
-)
+from greybox.discovery.policy import DiscoveryPolicy, SelectionPolicy
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.discovery.result import Discovery, RankedCandidate, load_discovery
 from greybox.discovery.search import SelectionStep, StepKind

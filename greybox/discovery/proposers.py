@@ -18,11 +18,7 @@ from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind, list_
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.linear import EffectPromise
-from greybox.discovery.localisation import (
-    ResidualLocalisation,
-    ResidualSignal,
-    localise_residual,
-)
+from greybox.discovery.localisation import ResidualLocalisation, ResidualSignal, localise_residual
 from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.residual_noise import SECOND_BRANCH, has_memory, is_shape_correction
 from greybox.discovery.search import EffectSearch

@@ -13,11 +13,7 @@ import numpy as np
 
 from greybox.data.noise import AutoRegression, BoundDirection, NoiseModel, NoiseSource, fit_autoregression, join_series
 from greybox.discovery.problem import FittedCandidate
-from greybox.discovery.surrogate_effects import (
-    CURVE,
-    LINEAR_DYNAMICS,
-    TONE,
-)
+from greybox.discovery.surrogate_effects import CURVE, LINEAR_DYNAMICS, TONE
 from greybox.model.effect import Effect
 
 # Sources of a noise level that do not depend on the records that are fitted.

@@ -23,13 +23,7 @@ from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.search import LawProposer
 from greybox.discovery.linear import EffectPromise, LinearRun
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import (
-    DiscoveryProblem,
-    FittedCandidate,
-    StartValues,
-    noise_cost_limit,
-    share_values,
-)
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate, StartValues, noise_cost_limit, share_values
 from greybox.discovery.residual_noise import excess_autocorrelation, is_level_known, is_shape_correction
 from greybox.discovery.surrogate_effects import CurvePlace
 from greybox.discovery.table import Draws, FitTable, SetKey, draw_sets, key_of

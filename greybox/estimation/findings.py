@@ -20,11 +20,7 @@ from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance, compute_interval, compute_quantile
 from greybox.estimation.errors import compute_weighed_ratio
 from greybox.estimation.identifiability.combinations import find_determined_formulas
-from greybox.estimation.identifiability.transfer_functions import (
-    Polynomial,
-    format_polynomial,
-    logarithmic_gradient,
-)
+from greybox.estimation.identifiability.transfer_functions import Polynomial, format_polynomial, logarithmic_gradient
 from greybox.estimation.objective import ProcessNoiseTest
 from greybox.estimation.optimum import Optimum, PredictionOptimum
 from greybox.estimation.parameter_constancy import NOISE_RATIO, find_certain_ratio

@@ -14,12 +14,7 @@ from greybox.base import TINY, Finding, FitError, ModelError, Severity, nearest,
 from greybox.base.interrupts import HeldInterrupt, hold_interrupts
 from greybox.base.linear_algebra import eliminate
 from greybox.base.numerics import RANK_CUTOFF
-from greybox.data.experiment import (
-    Experiment,
-    collect_record_findings,
-    find_usual_interval,
-    refuse_long_time_gaps,
-)
+from greybox.data.experiment import Experiment, collect_record_findings, find_usual_interval, refuse_long_time_gaps
 from greybox.data.findings import RecordCode
 from greybox.data.identity import mark_fitted, refuse_repeated
 from greybox.data.noise import GrowingNoise, NoiseModel, NoiseSource

@@ -28,13 +28,7 @@ from greybox.estimation.transcription.collocation import solve_collocation
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.multiple_shooting import solve_multiple_shooting
 from greybox.estimation.transcription.plant_search import SHARES, solve_plant
-from greybox.estimation.transcription.problem import (
-    Completion,
-    EstimationProblem,
-    FitProgressCallback,
-    Runs,
-    Solution,
-)
+from greybox.estimation.transcription.problem import Completion, EstimationProblem, FitProgressCallback, Runs, Solution
 from greybox.estimation.transcription.select import (
     TranscriptionChoice,
     select_transcription,

@@ -30,20 +30,12 @@ from greybox.shell.terminal import (
 )
 
 STUDY_HELP = " A study file, study.toml, replaces {}, records and options."
-NAMED_MODEL = Option(
-    ModelName(),
-    "--model MODEL",
-    "",
-    "The model, if MODEL is a study file that names a model file: a study alone runs no program.",
-    name="named_model",
-)
-WRITE_STUDY = Option(
-    File(),
-    "--write-study FILE.toml",
-    "",
-    "Write model, records and options to a study file, and stop.",
-    name="write_study",
-)
+# fmt: off
+NAMED_MODEL = Option(ModelName(), "--model MODEL", "",
+    "The model, if MODEL is a study file that names a model file: a study alone runs no program.", name="named_model")
+WRITE_STUDY = Option(File(), "--write-study FILE.toml", "",
+    "Write model, records and options to a study file, and stop.", name="write_study")
+# fmt: on
 
 
 def make_command(name: str, command: Command, commands: Mapping[str, Command]) -> PlainCommand:

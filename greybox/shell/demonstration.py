@@ -202,10 +202,7 @@ def _measure(rig: Model, folder: Path) -> tuple[Path, Path]:
     generator = np.random.default_rng(SEED)
     (drive,) = (i.name for i in rig.inputs)
     t = SAMPLING_TIME * np.arange(ROWS)
-    inputs = {
-        "multisine": multisine(t, *BAND, VOLTAGE, generator),
-        "sweep": chirp(t[:VALIDATION_ROWS], *BAND, VOLTAGE),
-    }
+    inputs = {"multisine": multisine(t, *BAND, VOLTAGE, generator), "sweep": chirp(t[:VALIDATION_ROWS], *BAND, VOLTAGE)}
     paths = []
     for k, (name, u) in enumerate(inputs.items()):
         record = simulate_twin(rig, {drive: u}, SAMPLING_TIME, NOISE, SEED + k, name=name)

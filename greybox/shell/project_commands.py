@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,8 @@ from greybox.shell.study import SHOWING, Answer, Command, Excludes, Idle, Needs,
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note, write_report
 
 if TYPE_CHECKING:
-    from greybox.model import Model
-    from greybox.model.effects.catalogue import EffectListing
+    from greybox.model import Effect, Model
+    from greybox.model.effects.catalogue import EffectListing, Placement
     from greybox.shell.project import ModelListing
 
 
@@ -116,43 +117,27 @@ def models(study: Study) -> Answer:
 
 
 def _list(listing: ModelListing) -> dict[str, Any]:
-    return {
-        "models": [
-            {"name": e.name, "title": e.model.title, "description": e.model.description, "where": e.where}
-            for e in listing.models
-        ],
-        "problems": list(listing.problems),
-    }
+    rows = [{"name": e.name, **_take(e.model, ("title", "description")), "where": e.where} for e in listing.models]
+    return {"models": rows, "problems": list(listing.problems)}
+
+
+def _take(value: object, names: Iterable[str]) -> dict[str, Any]:
+    return {name: getattr(value, name) for name in names}
 
 
 def _outline(model: Model) -> dict[str, Any]:
     from greybox.base import to_json_data
     from greybox.model import equations_text
+    from greybox.shell.printed import OutlinedParameter
 
-    return dict(
-        to_json_data(
-            {
-                "name": model.name,
-                "title": model.title,
-                "description": model.description,
-                "equations": equations_text(model),
-                "states": {s.name: s.unit for s in model.all_states},
-                "inputs": {i.name: i.unit for i in model.inputs},
-                "outputs": {o.name: o.unit for o in model.outputs},
-                "parameters": {
-                    q.name: {
-                        "value": q.value,
-                        "unit": q.unit,
-                        "bounds": q.bounds,
-                        "fixed": q.fixed,
-                        "description": q.description,
-                        "source": q.source,
-                    }
-                    for q in model.all_parameters
-                },
-            }
-        )
-    )
+    groups: dict[str, Sequence[Any]] = {"states": model.all_states, "inputs": model.inputs, "outputs": model.outputs}
+    data = {
+        **_take(model, ("name", "title", "description")),
+        "equations": equations_text(model),
+        **{group: {s.name: s.unit for s in signals} for group, signals in groups.items()},
+        "parameters": {q.name: _take(q, OutlinedParameter.__annotations__) for q in model.all_parameters},
+    }
+    return dict(to_json_data(data))
 
 
 MODELS = Command(
@@ -239,25 +224,16 @@ EFFECTS = Command(
 
 def _to_data(listing: EffectListing) -> list[dict[str, object]]:
     if not listing.model:
-        return [
-            {
-                "name": e.name,
-                "site": e.site,
-                "equation": e.equation,
-                "parameters": {q.name: q.unit for q in e.parameters},
-            }
-            for e in listing.entries
-        ]
-    return [
-        {
-            "name": p.name,
-            "site": p.site,
-            "equation": p.effect.equation if p.effect else "",
-            "parameters": {q.name: q.unit for q in p.parameters},
-            "reason": p.reason,
-        }
-        for p in listing.placements
-    ]
+        return [{**_take(e, ("name", "site", "equation")), "parameters": _units(e)} for e in listing.entries]
+    equations = (
+        {"equation": p.effect.equation if p.effect else "", "parameters": _units(p)} for p in listing.placements
+    )
+    rows = zip(listing.placements, equations, strict=True)
+    return [{**_take(p, ("name", "site")), **equation, "reason": p.reason} for p, equation in rows]
+
+
+def _units(entry: Effect | Placement) -> dict[str, str]:
+    return {q.name: q.unit for q in entry.parameters}
 
 
 # `greybox schema`.
@@ -293,12 +269,12 @@ def extensions(study: Study) -> Answer:
     """
     from greybox.base.extensions import ExtensionKind, list_extensions
     from greybox.model.effects.catalogue import all_effects
+    from greybox.shell.printed import ListedExtension
     from greybox.show.sentences.shell import extensions_text
 
     all_effects()  # an effect that has the name of a shipped one is known as such from here on
     entries = [entry for kind in ExtensionKind for entry in list_extensions(kind)]
-    shown = ("kind", "name", "place", "distribution", "version", "failure")
-    rows = [{name: getattr(entry, name) for name in shown} for entry in entries]
+    rows = [_take(entry, ListedExtension.__annotations__) for entry in entries]
     return Answer(extensions_text(entries), lambda _: _as_json({"extensions": rows}))
 
 

@@ -559,16 +559,8 @@ class Command:
 
 # How records are read.
 READING = (
-    *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit),
-    *(
-        Study.first_time,
-        Study.last_time,
-        Study.hold,
-        Study.interpolation,
-        Study.before,
-        Study.split_holes,
-        Study.free_decay,
-    ),
+    *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit, Study.first_time, Study.last_time),
+    *(Study.hold, Study.interpolation, Study.before, Study.split_holes, Study.free_decay),
 )
 # The same where a result or the model says how the inputs move and what stayed the same.
 READING_LIKE = (
@@ -607,6 +599,12 @@ STARTING = (
     Needs(Study.time_limit, (Study.starts,), "there is one start"),
 )
 QUIET = Excludes(Study.silent, Study.json, "nothing is printed, or the result as JSON")
+
+
+def model_of(result: str) -> Option[str]:
+    """The model that a ``result`` does not find by itself."""
+    text = f"The model of {result}, or its file, if it is not found by its name."
+    return Study.model.but(usage="--model MODEL", help=text, required=False)
 
 
 def sharing(*options: Option[Any], why: str = "there is one computation") -> tuple[Needs, ...]:

@@ -9,14 +9,7 @@ import pytest
 import greybox.discovery.holdout as holdout
 from greybox.base.errors import FitError
 from greybox.discovery.execution import FailureLog, SearchStage
-from greybox.discovery.holdout import (
-    HoldoutError,
-    HoldoutScores,
-    ValidationSet,
-    block_errors,
-    finish_fit,
-    worst_output,
-)
+from greybox.discovery.holdout import HoldoutError, HoldoutScores, ValidationSet, block_errors, finish_fit, worst_output
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result_parts import Misfit, Trace, Validation
 from tests.support.fake_candidates import candidate

@@ -109,15 +109,7 @@ def best_black_boxes(
         if not choices:
             continue
         try:
-            scans[kind] = scan_choices(
-                folds,
-                whole,
-                kind,
-                choices,
-                units=units,
-                report=report_scan,
-                policy=policy,
-            )
+            scans[kind] = scan_choices(folds, whole, kind, choices, units=units, report=report_scan, policy=policy)
         except DataError as error:
             reason = str(error)
     if not any(k in scans for k in kinds):

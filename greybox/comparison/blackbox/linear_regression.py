@@ -360,11 +360,7 @@ def name_regressors(data: SampledData, orders: Orders, offset: bool) -> list[str
 
 
 def each_equation_block(
-    record: SampledRecord,
-    orders: Orders,
-    offset: bool,
-    history: RegressionHistory,
-    prefilter: np.ndarray | None = None,
+    record: SampledRecord, orders: Orders, offset: bool, history: RegressionHistory, prefilter: np.ndarray | None = None
 ) -> Iterator[np.ndarray]:
     """The equations of a record that are known, block by block: the regressors and, in the last column, the output (n, p + 1).
 
@@ -397,11 +393,7 @@ def each_equation_block(
 
 
 def collect_equations(
-    data: SampledData,
-    orders: Orders,
-    offset: bool,
-    history: RegressionHistory,
-    prefilter: np.ndarray | None = None,
+    data: SampledData, orders: Orders, offset: bool, history: RegressionHistory, prefilter: np.ndarray | None = None
 ) -> RowTriangle:
     """All known equations of the records, each record filtered by ``1 / prefilter`` from its first equation or the one behind a gap on."""
     equations = RowTriangle()

@@ -163,11 +163,7 @@ def estimate_best_linear_approximation(
     if total is not None:
         checks.append(
             _compare_variances(
-                LinearityCheck.REALISATIONS_AGREE,
-                total,
-                noise,
-                2 * (len(group) - 1),
-                2 * len(group) * (count - 1),
+                LinearityCheck.REALISATIONS_AGREE, total, noise, 2 * (len(group) - 1), 2 * len(group) * (count - 1)
             )
         )
     levels: dict[str, float | None] = {}

@@ -219,10 +219,7 @@ class ResponsePlant:
             raise PlantRunError(f"{self.equations.title} has no response there: {error}") from error
         rows, columns = (
             [[s.name for s in known].index(name) for name in names]
-            for known, names in (
-                (self.equations.outputs, response.outputs),
-                (self.equations.inputs, response.inputs),
-            )
+            for known, names in ((self.equations.outputs, response.outputs), (self.equations.inputs, response.inputs))
         )
         return whole[:, rows][:, :, columns]
 

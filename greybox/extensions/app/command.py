@@ -216,11 +216,7 @@ class StudyOnFile:
         bare = study.but(start={}, fixed={}, free=(), has=tuple(session.model.has), lacks=tuple(session.model.lacks))
         if effects is None:
             return bare.but(
-                model=str(_beside(folder / MODEL_FILE, folder)),
-                effects=(),
-                schedules={},
-                process_noise={},
-                ties={},
+                model=str(_beside(folder / MODEL_FILE, folder)), effects=(), schedules={}, process_noise={}, ties={}
             )
         bare = bare.but(effects=effects)
         declared = {q.name: q for q in inputs.build_model(bare).all_parameters}

@@ -83,13 +83,7 @@ class Job:
     """
 
     def __init__(
-        self,
-        kind: JobKind,
-        session: Session,
-        *,
-        journal: Path,
-        workers: int = 0,
-        listener: JobListener,
+        self, kind: JobKind, session: Session, *, journal: Path, workers: int = 0, listener: JobListener
     ) -> None:
         self.kind, self.session = kind, session
         self._listener = listener

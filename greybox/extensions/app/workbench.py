@@ -388,13 +388,7 @@ class Workbench:
                 raise DataError(
                     "discover: no validation record; load another record for validation, which is not fitted"
                 )
-            self.job = Job(
-                kind,
-                self.session,
-                journal=self.folder / JOURNAL,
-                workers=self.workers,
-                listener=self._hear,
-            )
+            self.job = Job(kind, self.session, journal=self.folder / JOURNAL, workers=self.workers, listener=self._hear)
 
     def stop(self) -> None:
         """Ask what runs to end: a fit keeps its best point, a discovery its finished refits; asked again, it ends at once."""

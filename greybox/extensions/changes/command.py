@@ -22,6 +22,7 @@ from greybox.shell.study import (
     NextCommand,
     Option,
     Study,
+    model_of,
 )
 from greybox.shell.study_values import Switch
 from greybox.shell.terminal import write_report
@@ -35,21 +36,14 @@ if TYPE_CHECKING:
 class ChangeStudy(Study):
     """The options of `greybox changed`."""
 
-    population = Option(
-        Switch(), "--population", "population", "Each NEW is another machine of the same kind: which of them falls out?"
-    )
-    chart = Option(
-        Switch(),
-        "--chart",
-        "chart",
-        "Each record is one point in time, in the order of their names: when did it change?",
-    )
-    no_effects = Option(
-        Switch(),
-        "--no-effects",
-        "no_effects",
-        "Do not look for an effect where the constants do not explain the records.",
-    )
+    # A table: an option is a row or two.
+    # fmt: off
+    population = Option(Switch(), "--population", "population",
+        "Each NEW is another machine of the same kind: which of them falls out?")
+    chart = Option(Switch(), "--chart", "chart", "Each record is one point in time, in the order of their names: when did it change?")
+    no_effects = Option(Switch(), "--no-effects", "no_effects",
+        "Do not look for an effect where the constants do not explain the records.")
+    # fmt: on
 
 
 def changed(study: ChangeStudy) -> Answer:
@@ -136,9 +130,7 @@ CHANGED = Command(
     (
         Study.source.but(help="fit.json of the machine as it was."),
         Study.estimation.but(
-            usage="NEW",
-            help="Records of today, or folders of records: CSV, MAT, MF4, TDMS and others.",
-            required=True,
+            usage="NEW", help="Records of today, or folders of records: CSV, MAT, MF4, TDMS and others.", required=True
         ),
         Study.validation.but(
             help="A further record of today that an effect must explain as well; may be repeated. [default: the last of NEW]"
@@ -147,11 +139,7 @@ CHANGED = Command(
         Study.skip.but(help="Rows at the start of validation records left out."),
         *READING_LIKE,
         Study.sampling_time.but(help="Seconds between rows, for records without a time."),
-        Study.model.but(
-            usage="--model MODEL",
-            help="The model of FIT, or its file, if it is not found by its name.",
-            required=False,
-        ),
+        model_of("FIT"),
         Study.output.but(help="Folder for the results. [default: results/MODEL-changed]"),
         *(*SHARING, *SHOWING),
     ),

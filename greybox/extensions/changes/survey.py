@@ -404,11 +404,7 @@ def _chance_of_jump(largest: float, variances: np.ndarray, wandering: float, len
 
 
 def _find_jumps(
-    name: str,
-    places: Sequence[int],
-    points: Sequence[FittedConstants | None],
-    labels: Sequence[str],
-    comparisons: int,
+    name: str, places: Sequence[int], points: Sequence[FittedConstants | None], labels: Sequence[str], comparisons: int
 ) -> list[ChangePoint]:
     known = [c for t in places if (c := points[t]) is not None]
     values, variances, positive, unit = _to_one_scale(known, name)

@@ -21,6 +21,7 @@ from greybox.shell.study import (
     Idle,
     Option,
     Study,
+    model_of,
 )
 from greybox.shell.study_values import Choice, Count, Names, Numbers, Quantity, Word
 from greybox.shell.terminal import exit_with_error, print_findings, print_note, write_report
@@ -313,11 +314,7 @@ DESIGN = Command(
         ),
         OWN.hold,
         Study.at_rest.but(help="Records begin at the initial state of the model. [default: as fitted]"),
-        Study.model.but(
-            usage="--model MODEL",
-            help="The model of SOURCE, or its file, if it is not found by its name.",
-            required=False,
-        ),
+        model_of("SOURCE"),
         Study.output.but(help="Folder for the results. [default: results/MODEL-design]"),
         *SHOWING,
     ),

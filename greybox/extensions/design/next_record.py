@@ -404,10 +404,7 @@ def _findings(
 
 
 def list_alternatives(
-    question: DesignProblem,
-    make_goal: goals.GoalMaker,
-    goal: goals.Goal,
-    tried: Sequence[TriedInput],
+    question: DesignProblem, make_goal: goals.GoalMaker, goal: goals.Goal, tried: Sequence[TriedInput]
 ) -> tuple[Alternative, ...]:
     """What else could be done; ``tried`` inputs, of which the first is the design. Those that cannot be run are left out."""
     best, policy = tried[0], question.policy

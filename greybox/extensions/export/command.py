@@ -11,7 +11,7 @@ from greybox.base.extensions import ExtensionKind, extension_names, load_extensi
 from greybox.base.texts import to_word
 from greybox.extensions.export.target import ExportTarget
 from greybox.shell.inputs import check_writable, load_fit_with_model
-from greybox.shell.study import SHOWING, Answer, Command, Idle, Needs, Option, Study
+from greybox.shell.study import SHOWING, Answer, Command, Idle, Needs, Option, Study, model_of
 from greybox.shell.study_values import Choice, Count, MaybeNumber, Number, Numbers, Switch
 from greybox.shell.terminal import print_note, write_report
 
@@ -184,11 +184,7 @@ EXPORT = Command(
     (
         *(Study.source.but(usage="FIT.json"), OWN.to, OWN.dt, *LINEAR, Study.substeps),
         *(OWN.observer, OWN.observer_noise),
-        Study.model.but(
-            usage="--model MODEL",
-            help="The model of the fit, or its file, if it is not found by its name.",
-            required=False,
-        ),
+        model_of("the fit"),
         Study.output.but(usage="--output FILE", help="File to write. [default: results/MODEL-export/MODEL.*]"),
         *SHOWING,
     ),

@@ -15,31 +15,18 @@ from greybox.shell.terminal import write_report
 class RobotStudy(Study):
     """The options of `greybox robot`."""
 
-    known_to = Option(
-        Quantity(),
-        "--known-to SHARE",
-        "known_to",
-        "How well ROBOT is known: 0.1 takes its constants to be right to 10 %. [default: not at all]",
-    )
-    design = Option(
-        Switch(),
-        "--design",
-        "design",
-        "Also design the motion to record next, a Fourier series inside the limits of ROBOT.",
-    )
-    torque_constants = Option(
-        Numbers("JOINT=VALUE", "elbow=2.5"),
-        "--torque-constant JOINT=VALUE",
-        "torque_constants",
-        "What one ampere gives at a joint, gear included, in N m/A or N/A. [default: fitted]",
-    )
-    payloads = Option(
-        Numbers("RECORD=KG", "loaded.csv=2.5"),
-        "--payload RECORD=KG",
-        "payloads",
-        "Mass in kg that is fixed to the last link in this record alone: it tells the level of currents.",
-    )
+    # A table: an option is a row or two.
+    # fmt: off
+    known_to = Option(Quantity(), "--known-to SHARE", "known_to",
+        "How well ROBOT is known: 0.1 takes its constants to be right to 10 %. [default: not at all]")
+    design = Option(Switch(), "--design", "design",
+        "Also design the motion to record next, a Fourier series inside the limits of ROBOT.")
+    torque_constants = Option(Numbers("JOINT=VALUE", "elbow=2.5"), "--torque-constant JOINT=VALUE", "torque_constants",
+        "What one ampere gives at a joint, gear included, in N m/A or N/A. [default: fitted]")
+    payloads = Option(Numbers("RECORD=KG", "loaded.csv=2.5"), "--payload RECORD=KG", "payloads",
+        "Mass in kg that is fixed to the last link in this record alone: it tells the level of currents.")
     physical = Option(Switch(), "--physical", "physical", "Also look for constants of each link that a body can have.")
+    # fmt: on
 
 
 def robot(study: RobotStudy) -> Answer:

@@ -22,16 +22,7 @@ from greybox.show.figures import discovery as search_figures
 from greybox.show.figures.figure import stretches_on_page, typeset_unit
 from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.show.sentences import discovery as words
-from greybox.show.sentences import sentences
-from greybox.show.sentences.wording import (
-    capitalise,
-    change_text,
-    choose_prefix,
-    count_noun,
-    quantity_text,
-    record_text,
-    with_unit,
-)
+from greybox.show.sentences import sentences, wording
 
 if TYPE_CHECKING:
     from greybox.discovery import Discovery, HoldoutError
@@ -71,7 +62,7 @@ def discovery_answer(discovery: Discovery) -> str:
         return first
     output = max(errors, key=lambda name: errors[name].before / max(errors[name].after, TINY))
     e = errors[output]
-    change = change_text(e.before, e.after, e.unit)
+    change = wording.change_text(e.before, e.after, e.unit)
     return f"{first.rstrip('.')}; the error in {output} on the validation records falls from {change}."
 
 
@@ -96,10 +87,10 @@ def _sets_table(discovery: Discovery, most: int | None = None) -> doc.TableBlock
     tried = sorted(
         discovery.ranking, key=lambda r: (set(r.effects) != chosen, r.errors.get(output, math.inf), r.behind)
     )
-    factor, prefix = choose_prefix(error.unit, error.before)
+    factor, prefix = wording.choose_prefix(error.unit, error.before)
 
     def quote(size: float) -> str:
-        return with_unit(f"{factor * size:.3g}", f"{prefix}{error.unit}")
+        return wording.with_unit(f"{factor * size:.3g}", f"{prefix}{error.unit}")
 
     rows = [["none", "", quote(error.before), "", ""]]
     for r in tried[: None if most is None else most - 1]:
@@ -217,7 +208,7 @@ def _claims(discovery: Discovery) -> doc.TableBlock:
             f"{words.GRADES[claim.grade]} ({words.probability_text(claim.probability)})",
             f"{100 * claim.share:.0f} % in {claim.output}",
             words.rival_text(claim.rival) or "none",
-            capitalise(words.claim_text(to_values(claim))),
+            wording.capitalise(words.claim_text(to_values(claim))),
         ]
         for claim in discovery.claims
     ]
@@ -246,8 +237,8 @@ def _holdout(discovery: Discovery) -> Iterator[doc.Block]:
     rows = [
         [
             output,
-            *(quantity_text(v, format_unit(e.unit), 4) for v in (e.before, e.after)),
-            quantity_text(e.floor, format_unit(e.unit), 4) if e.is_floor_known else "not known",
+            *(wording.quantity_text(v, format_unit(e.unit), 4) for v in (e.before, e.after)),
+            wording.quantity_text(e.floor, format_unit(e.unit), 4) if e.is_floor_known else "not known",
             _explained(e),
         ]
         for output, e in errors.items()
@@ -270,7 +261,7 @@ def _holdout(discovery: Discovery) -> Iterator[doc.Block]:
             doc.FigureBlock(residuals, stretches, group=together, switch=together),
             doc.FigureBlock(spectra, stretches, switch=together),
         ]
-        title = capitalise(record_text(before.name))
+        title = wording.capitalise(wording.record_text(before.name))
         yield from [doc.Subheading(title), *figures] if k < OPEN_RECORDS else [doc.Details(title, figures)]
 
 
@@ -320,7 +311,7 @@ def _localisation(discovery: Discovery) -> Iterator[doc.Block]:
         yield doc.FigureBlock(unexplained)
     sets = {name: k + 1 for k, group in enumerate(localisation.sets) for name in group}
     rows = [
-        [s.label, str(sets[s.label]), f"{s.gain:.4g}", quantity_text(s.size, format_unit(s.unit))]
+        [s.label, str(sets[s.label]), f"{s.gain:.4g}", wording.quantity_text(s.size, format_unit(s.unit))]
         for s in localisation.sites
     ]
     if rows:
@@ -342,7 +333,7 @@ def _candidates(discovery: Discovery) -> Iterator[doc.Block]:
         yield doc.FigureBlock(figure)
     if discovery.alternatives:
         yield doc.BulletList([f"{' + '.join(names)} explains the records as well." for names in discovery.alternatives])
-    yield doc.Details(f"All {count_noun(len(discovery.ranking), 'candidate')}", [_sets_table(discovery)])
+    yield doc.Details(f"All {wording.count_noun(len(discovery.ranking), 'candidate')}", [_sets_table(discovery)])
 
 
 def _parameters_before_after(discovery: Discovery) -> doc.TableBlock:

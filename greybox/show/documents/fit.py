@@ -27,21 +27,8 @@ from greybox.show.figures.records import (
     plot_runs_before_after,
     plot_spectrum,
 )
-from greybox.show.sentences import sentences
+from greybox.show.sentences import sentences, wording
 from greybox.show.sentences.estimation import list_tests_not_made, residual_tests_tables
-from greybox.show.sentences.wording import (
-    count_noun,
-    format_number,
-    format_with_std,
-    join_names,
-    noise_text,
-    percent_text,
-    plain_number,
-    quantity_text,
-    ratio_text,
-    record_text,
-    with_unit,
-)
 from greybox.simulation.simulate import simulate
 
 if TYPE_CHECKING:
@@ -129,8 +116,8 @@ def fit_answer(fit: Fit) -> str:
     output, m = worst
     if lost := fit.worse_than_constant:
         return (
-            f"{title} does not explain its records: their own mean follows {join_names(lost)} better than the model, and its constants"
-            f" mean nothing; {error_text(output, m)}."
+            f"{title} does not explain its records: their own mean follows {wording.join_names(lost)} better than the model, and its"
+            f" constants mean nothing; {error_text(output, m)}."
         )
     if m.noise_ratio > GOOD_MISFIT:
         says = "does not explain its records"
@@ -146,8 +133,8 @@ def error_text(output: str, m: result_parts.Misfit) -> str:
     """``the error in x, 14.7 µm, is at least 35.3 times the noise, at most 0.415 µm``: the ratio and the two numbers that it comes from."""
     outliers = " without outliers" * m.without_outliers
     size = m.rmse if m.error is None else m.error
-    error = quantity_text(size, m.unit, beside=m.noise or 0.0)
-    noise = noise_text(m, beside=size)
+    error = wording.quantity_text(size, m.unit, beside=m.noise or 0.0)
+    noise = wording.noise_text(m, beside=size)
     of = (
         ""
         if not noise
@@ -155,7 +142,7 @@ def error_text(output: str, m: result_parts.Misfit) -> str:
         if m.direction in (BoundDirection.AT_MOST, BoundDirection.AT_LEAST)
         else f" of {noise}"
     )
-    return f"the error in {output}{outliers}, {error}, is {ratio_text(m)} times the noise{of}"
+    return f"the error in {output}{outliers}, {error}, is {wording.ratio_text(m)} times the noise{of}"
 
 
 def _judged(fit: Fit) -> str:
@@ -163,11 +150,11 @@ def _judged(fit: Fit) -> str:
     worst = _worst(fit.validation.misfit)
     if worst is None:
         return ""
-    records = count_noun(len(fit.validation.traces), "validation record")
+    records = wording.count_noun(len(fit.validation.traces), "validation record")
     judges = "" if fit.judges_validation else ", which judges nothing"
     output, m = worst
     free = " in a free run" if fit.prediction.process_noise else ""
-    return f"; on {records}{judges}, {ratio_text(m)} times in {output}{free}"
+    return f"; on {records}{judges}, {wording.ratio_text(m)} times in {output}{free}"
 
 
 def fit_tone(fit: Fit) -> doc.Tone:
@@ -189,7 +176,7 @@ def fit_notes(fit: Fit) -> list[doc.Text]:
     directions = [f for f in fit.findings if f.code == EstimationCode.DIRECTION_UNDETERMINED]
     # Constants that can change together have no interval, and a sentence of their own.
     if wide := [name for name in _undetermined(fit) if not any(name in f.values["direction"] for f in directions)]:
-        notes.insert(0, f"not determined, the 95 % interval exceeds half the value: {join_names(wide)}")
+        notes.insert(0, f"not determined, the 95 % interval exceeds half the value: {wording.join_names(wide)}")
     notes += directions
     if fit.success and fit.uncertainty.free and not fit.validation:
         notes.append("not validated: give a second record")
@@ -223,17 +210,17 @@ class RecordRun:
     @property
     def title(self) -> str:
         """``Validation record b``."""
-        return f"{('Validation' if self.validation else 'Estimation')} {record_text(self.trace.name)}"
+        return f"{('Validation' if self.validation else 'Estimation')} {wording.record_text(self.trace.name)}"
 
 
 def _question(fit: Fit) -> str:
     free, fixed = fit.uncertainty.free, [name for name, e in fit.parameters.items() if e.fixed]
     rows = sum(len(t.time) for t in fit.traces)
-    records = f"{count_noun(len(fit.traces), 'record')} ({count_noun(rows, 'row')})"
-    known = f" {join_names(fixed)} {'is' if len(fixed) == 1 else 'are'} fixed." if fixed else ""
+    records = f"{wording.count_noun(len(fit.traces), 'record')} ({wording.count_noun(rows, 'row')})"
+    known = f" {wording.join_names(fixed)} {'is' if len(fixed) == 1 else 'are'} fixed." if fixed else ""
     if not free:
         return f"How well does the model follow {records}?{known}"
-    return f"Which values of {join_names(free)} make the model follow {records}?{known}"
+    return f"Which values of {wording.join_names(free)} make the model follow {records}?{known}"
 
 
 def _evidence(fit: Fit) -> Iterator[doc.FigureBlock]:
@@ -257,7 +244,7 @@ def _parameters(fit: Fit, further: Iterable[tuple[str, doc.Block]]) -> Iterator[
     several = [d for f in fit.findings if len(d := f.values.get("directions", ())) > 1]
     if several:
         lines = [
-            ", ".join(f"{name} by {format_number(weight, 3)}" for name, weight in direction.items())
+            ", ".join(f"{name} by {wording.format_number(weight, 3)}" for name, weight in direction.items())
             for directions in several
             for direction in directions
         ]
@@ -279,11 +266,18 @@ def _priors(fit: Fit) -> Iterator[doc.TableBlock]:
     """What the prior knowledge was, and what the records added to it."""
     rows = []
     for name, c in fit.constraints.priors.items():
-        conflict = "" if c.conflict is None else f"{format_number(abs(c.conflict), 2)} std"
-        factor = "" if c.factor is None or c.factor_std is None else format_with_std(c.factor, c.factor_std)
-        reduction = percent_text(c.variance_reduction, 3)
+        conflict = "" if c.conflict is None else f"{wording.format_number(abs(c.conflict), 2)} std"
+        factor = "" if c.factor is None or c.factor_std is None else wording.format_with_std(c.factor, c.factor_std)
+        reduction = wording.percent_text(c.variance_reduction, 3)
         rows.append(
-            [name, format_with_std(c.mean, c.std), f"{format_number(c.shift, 2)} std", reduction, conflict, factor]
+            [
+                name,
+                wording.format_with_std(c.mean, c.std),
+                f"{wording.format_number(c.shift, 2)} std",
+                reduction,
+                conflict,
+                factor,
+            ]
         )
     if rows:
         heads = ["prior", "prior value", "shift", "variance reduction", "conflict", "data over prior"]
@@ -297,7 +291,7 @@ def _starts(fit: Fit) -> Iterator[doc.Block]:
     for k, s in enumerate(fit.starts):
         ends = (f" -> {s.values[name]:.3g}" if name in s.values else "" for name in names)
         moves = [f"{s.start[name]:.3g}{end}" for name, end in zip(names, ends, strict=True)]
-        rows.append([str(k + 1), plain_number(s.noise_ratio), s.status.replace("_", " "), *moves])
+        rows.append([str(k + 1), wording.plain_number(s.noise_ratio), s.status.replace("_", " "), *moves])
     yield doc.TableBlock("Start and end of each search", ["start", "misfit / noise", "ended", *names], rows)
 
 
@@ -345,7 +339,10 @@ def _first_states(fit: Fit) -> Iterator[doc.TableBlock]:
     states = {s.name: format_unit(s.unit) for s in fit.model.all_states}
     traces = [*fit.traces, *fit.validation.traces][:RECORDS_OF_FIT]
     names = [n for n in states if all(n in t.initial_state for t in traces)]
-    rows = [[t.name, *(with_unit(format_number(t.initial_state[n], 4), states[n]) for n in names)] for t in traces]
+    rows = [
+        [t.name, *(wording.with_unit(wording.format_number(t.initial_state[n], 4), states[n]) for n in names)]
+        for t in traces
+    ]
     if rows and names:
         yield doc.TableBlock("First state of each run", ["record", *names], rows)
 
@@ -392,7 +389,7 @@ def _misfit(fit: Fit, skip: int) -> Iterator[doc.Block]:
 
 def not_drawn(records: int) -> str:
     """Why there are tables of so many records more than figures."""
-    return f"The tables include {count_noun(records, 'more record')} that {'is' if records == 1 else 'are'} not drawn."
+    return f"The tables include {wording.count_noun(records, 'more record')} that {'is' if records == 1 else 'are'} not drawn."
 
 
 def _record_figures(fit: Fit, trace: result_parts.Trace, k: int, stretches: int, *, follow: bool) -> list[doc.Block]:
@@ -411,12 +408,7 @@ def _record_figures(fit: Fit, trace: result_parts.Trace, k: int, stretches: int,
 
 def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> doc.TableBlock:
     rows = [
-        [
-            run.trace.name,
-            "validation" if run.validation else "fitted",
-            output,
-            *tables.misfit_cells(m),
-        ]
+        [run.trace.name, "validation" if run.validation else "fitted", output, *tables.misfit_cells(m)]
         for run in runs
         for output, m in errors.compute_record_misfits(fit, run.trace, run.skip).items()
     ]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from greybox.base import ModelError, format_unit
-from greybox.base.document import Document, FigureBlock, Section, TableBlock, Tone
+from greybox.base.document import Document, FigureBlock, Later, Section, TableBlock, Tone
 from greybox.base.figure import Role
 from greybox.model import Model
 from greybox.show.documents import tables
@@ -47,7 +47,7 @@ def describe_simulation(run: Simulation, *, model: Model | None = None, command:
     else:
         duration, rows = run.time[-1] - run.time[0], count_noun(len(run.time), "row")
         period = tables.format_sampling_time(run.time)
-        answer = f"{model.title} was simulated: a free run over {rows}, {duration:.4g} s, sampled every {period}."
+        answer = f"{model.title} was simulated: {rows} over {duration:.4g} s, one every {period}."
         tone = Tone.GOOD
     noises = [f"the written outputs contain added white noise: {noise}"] if noise else []
     return Document(
@@ -57,13 +57,15 @@ def describe_simulation(run: Simulation, *, model: Model | None = None, command:
         [ranges_table(run, model)],
         [*noises, f"integrated by {run.discretisation}"],
         question=f"How does {model.title} respond to {join_names(list(run.inputs)) or 'no input'}?",
-        sections=[
-            Section("run", "The run", [*run_figures(run, model), ranges_table(run, model)]),
-            Section("model", "The model", [_parameters(model), tables.typeset_equations(model)]),
-            tables.provenance_section(command),
-        ],
+        sections=Later(_sections, run, model, command),
         kind="simulation",
     )
+
+
+def _sections(run: Simulation, model: Model, command: str) -> Iterator[Section]:
+    yield Section("run", "The run", [*run_figures(run, model), ranges_table(run, model)])
+    yield Section("model", "The model", [_parameters(model), tables.typeset_equations(model)])
+    yield tables.provenance_section(command)
 
 
 def run_figures(
@@ -101,9 +103,5 @@ def _parameters(model: Model) -> TableBlock:
 
 
 def describe_simulation_answer(answer: SimulationAnswer) -> Document:
-    """How long the run is, its columns and their ranges, and how the model was integrated."""
-    run, model = answer.run, answer.model
-    names = join_names([*run.inputs, *run.outputs])
-    line = f"{model.title} was simulated: {count_noun(len(run.time), 'row')} of {names} over {run.time[-1] - run.time[0]:.4g} s."
-    noise = [f"white noise was added: {answer.noise}"] if answer.noise else []
-    return Document(line, line, table=[ranges_table(run, model)], notes=[*noise, f"integrated by {run.discretisation}"])
+    """The same as of the run."""
+    return describe_simulation(answer.run, model=answer.model, noise=answer.noise)

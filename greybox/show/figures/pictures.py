@@ -52,7 +52,15 @@ def draw_residual_tests(tests: ResidualTests, directory: str | Path, *, title: s
 
     ``title`` stands above, as a rule the name of the model. The panels are those of `plot_residual_tests`.
     """
-    return save_sheets((residual_test_sheet(tests, output, title) for output in tests.residuals), directory)
+    sheets = []
+    for output in tests.residuals:
+        panels = plot_residual_tests(tests, output, "residual").panels
+        rows = (len(panels) + 1) // 2
+        cells = tuple(Cell(panel, k // 2, k % 2) for k, panel in enumerate(panels))
+        heading = f"{title}: residual of {output}" if title else f"Residual of {output}"
+        size = (11.0, 3.4 * rows)
+        sheets.append(Sheet(f"residual-{output}", cells, heading, size, widths=(1.0, 1.0), heights=(1.0,) * rows))
+    return save_sheets(sheets, directory)
 
 
 def draw_comparison(comparison: Comparison, directory: str | Path) -> list[Path]:
@@ -72,7 +80,19 @@ def draw_discovery(discovery: Discovery, directory: str | Path) -> list[Path]:
     ``residuals``: the error on the first validation record in time, and its averaged spectrum, before and after. ``candidates``: misfit
     of the refitted candidates. ``gap``: rms error before and after beside the noise.
     """
-    return save_sheets(discovery_sheets(discovery), directory)
+    sheets = [_effect_signal_sheet(signal) for signal in discovery.effect_signals]
+    if discovery.surrogate is not None:
+        figure = search_figures.plot_surrogate(discovery.surrogate)
+        shape, share = surrogate_title(discovery.surrogate), min(discovery.surrogate.share, 1.0)
+        heading = f"Unknown effect: a {shape.removeprefix('a ')} takes {100 * share:.0f} % of the error"
+        sheets.append(Sheet("missing-unknown", (Cell(figure.panels[0], 0),), heading, (7.0, 4.2)))
+    sheets.append(_before_after_sheet(discovery))
+    candidates = search_figures.plot_candidates(discovery)
+    if candidates is not None:
+        heading = f"Candidates ({discovery.verdict}). {search_figures.describe_candidates(discovery)}"
+        height = 1.5 + 0.3 * len(candidates.panels[0].categories)
+        sheets.append(Sheet("candidates", (Cell(candidates.panels[0], 0),), heading, (8.5, height)))
+    return save_sheets([*sheets, _holdout_error_sheet(discovery)], directory)
 
 
 def draw_gap(
@@ -103,8 +123,25 @@ def draw_gap(
     path
         Of the files, without suffix.
     """
+    pair, units = (_only(before, output), _only(after, output)), {output: unit}
+    run = record_figures.plot_runs_before_after(*pair, units, "run", names)[output]
+    residual = record_figures.plot_residuals_before_after(*pair, units, {output: noise}, "residual", names[1])[output]
+    roles = {names[0]: Role.BASELINE, names[1]: Role.EXTENDED}
+    values = np.array(list(ratios.values()))
+    x = Axis("misfit / noise", "", Scale.LOG, (0.7, 3.0 * float(values.max())))
+    texts = [f"{ratio:.3g}" for ratio in values]
+    marks = draw_sizes(list(ratios), values, [roles.get(n, Role.OTHER) for n in ratios], x, texts=texts)
+    series = (*marks, Reference(1.0, upright=True, dash=Dash.DOTTED))
+    ratio_marks = Panel("misfit", series, x, Axis(scale=Scale.CATEGORY, reversed=True))
+    cells = (
+        Cell(run, 0, titles=(f"{output}: free run on a record not used for the fit",), above_another=True),
+        Cell(_without_labels(residual), 1, titles=("residual",)),
+        Cell(ratio_marks, 0, 1, rows=2, titles=("misfit / noise (1: noise only)",)),
+    )
+    heading = f"Error of the model in {output}, without and with the effect"
     target = Path(path)
-    return save_sheets([gap_sheet(before, after, output, unit, noise, ratios, names, target.name)], target.parent)
+    sheet = Sheet(target.name, cells, heading, (10.5, 4.6), widths=(1.6, 1.0), heights=(1.0, 1.25))
+    return save_sheets([sheet], target.parent)
 
 
 def save_sheets(sheets: Iterable[Sheet], directory: str | Path) -> list[Path]:
@@ -169,20 +206,6 @@ def _misfit_title(output: str, m: Misfit) -> str:
     return f"{output}: {misfit}best fit {m.best_fit_percent:.2f} %"
 
 
-def residual_test_sheet(tests: ResidualTests, output: str, title: str = "") -> Sheet:
-    """All tests of one output on a sheet."""
-    panels = plot_residual_tests(tests, output, "residual").panels
-    rows = (len(panels) + 1) // 2
-    return Sheet(
-        f"residual-{output}",
-        tuple(Cell(panel, k // 2, k % 2) for k, panel in enumerate(panels)),
-        f"{title}: residual of {output}" if title else f"Residual of {output}",
-        size=(11.0, 3.4 * rows),
-        widths=(1.0, 1.0),
-        heights=(1.0,) * rows,
-    )
-
-
 def comparison_sheet(comparison: Comparison, record: str) -> Sheet:
     """Runs, errors and bars of every model over one record."""
     runs, residuals = (plot(comparison, record, "runs") for plot in (plot_model_runs, plot_model_residuals))
@@ -205,23 +228,6 @@ def comparison_sheet(comparison: Comparison, record: str) -> Sheet:
         widths=(2.1, 1.0),
         heights=(1.6, 1.0) * len(runs.panels),
     )
-
-
-def discovery_sheets(discovery: Discovery) -> list[Sheet]:
-    """All sheets of a discovery."""
-    sheets = [_effect_signal_sheet(signal) for signal in discovery.effect_signals]
-    if discovery.surrogate is not None:
-        figure = search_figures.plot_surrogate(discovery.surrogate)
-        shape, share = surrogate_title(discovery.surrogate), min(discovery.surrogate.share, 1.0)
-        heading = f"Unknown effect: a {shape.removeprefix('a ')} takes {100 * share:.0f} % of the error"
-        sheets.append(Sheet("missing-unknown", (Cell(figure.panels[0], 0),), heading, (7.0, 4.2)))
-    sheets.append(_before_after_sheet(discovery))
-    candidates = search_figures.plot_candidates(discovery)
-    if candidates is not None:
-        heading = f"Candidates ({discovery.verdict}). {search_figures.describe_candidates(discovery)}"
-        height = 1.5 + 0.3 * len(candidates.panels[0].categories)
-        sheets.append(Sheet("candidates", (Cell(candidates.panels[0], 0),), heading, (8.5, height)))
-    return [*sheets, _holdout_error_sheet(discovery)]
 
 
 # Values of an effect's signal that a picture shows over time.
@@ -269,36 +275,6 @@ def _holdout_error_sheet(discovery: Discovery) -> Sheet:
     cells = tuple(Cell(panel, k, titles=(titles[panel.name],)) for k, panel in enumerate(figure.panels))
     size = (8.5, 0.6 + rows * (1.0 + 0.3 * bars))
     return Sheet("gap", cells, "Rms error of the free run on the validation records", size, heights=(1.0,) * rows)
-
-
-def gap_sheet(
-    before: Trace,
-    after: Trace,
-    output: str,
-    unit: str,
-    noise: float,
-    ratios: Mapping[str, float],
-    names: tuple[str, str],
-    name: str,
-) -> Sheet:
-    """The free run and the residual of two models, and the misfit of all that are compared."""
-    pair, units = (_only(before, output), _only(after, output)), {output: unit}
-    run = record_figures.plot_runs_before_after(*pair, units, "run", names)[output]
-    residual = record_figures.plot_residuals_before_after(*pair, units, {output: noise}, "residual", names[1])[output]
-    roles = {names[0]: Role.BASELINE, names[1]: Role.EXTENDED}
-    values = np.array(list(ratios.values()))
-    x = Axis("misfit / noise", "", Scale.LOG, (0.7, 3.0 * float(values.max())))
-    texts = [f"{ratio:.3g}" for ratio in values]
-    marks = draw_sizes(list(ratios), values, [roles.get(n, Role.OTHER) for n in ratios], x, texts=texts)
-    series = (*marks, Reference(1.0, upright=True, dash=Dash.DOTTED))
-    ratio_marks = Panel("misfit", series, x, Axis(scale=Scale.CATEGORY, reversed=True))
-    cells = (
-        Cell(run, 0, titles=(f"{output}: free run on a record not used for the fit",), above_another=True),
-        Cell(_without_labels(residual), 1, titles=("residual",)),
-        Cell(ratio_marks, 0, 1, rows=2, titles=("misfit / noise (1: noise only)",)),
-    )
-    heading = f"Error of the model in {output}, without and with the effect"
-    return Sheet(name, cells, heading, (10.5, 4.6), widths=(1.6, 1.0), heights=(1.0, 1.25))
 
 
 def _named_by_title(panel: Panel, quantity: str) -> Panel:

@@ -254,11 +254,7 @@ def plot_runs_before_after(
             draw_over_time(after.time, after.simulated[output], fig.Role.EXTENDED, labels[1], 1.3, factor=factor),
         )
         panels.append(fig.Panel(output, curves, TIME, fig.Axis(output, unit), height=fig.Height.TALL))
-    return fig.Figure(
-        name,
-        tuple(panels),
-        f"{capitalise(record_text(before.name))}: measured outputs and both runs.",
-    )
+    return fig.Figure(name, tuple(panels), f"{capitalise(record_text(before.name))}: measured outputs and both runs.")
 
 
 # Rows of the closer look at a record's liveliest stretch.

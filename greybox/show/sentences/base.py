@@ -20,6 +20,6 @@ def _lines_skipped(finding: Finding) -> str:
 
 register(
     {
-        JournalCode.LAST_LINE_CUT: "{subject}: the last line was incomplete and is cut off: what stood there is computed again",
+        JournalCode.LAST_LINE_CUT: "{subject}: the last line was incomplete and is cut off: what stood there is computed again"
     }
 )

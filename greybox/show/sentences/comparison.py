@@ -185,11 +185,7 @@ def _unstable(finding: Finding) -> str:
     )
 
 
-register(
-    {
-        BlackBoxFinding.SEARCH_UNFINISHED: "the search stopped after {iterations} iterations without convergence",
-    }
-)
+register({BlackBoxFinding.SEARCH_UNFINISHED: "the search stopped after {iterations} iterations without convergence"})
 
 
 @renders("PolynomialModel")

@@ -15,12 +15,7 @@ from greybox.base.json_shape import to_json_data
 from greybox.data.noise.noise_model import DETECTION_RATIO
 from greybox.data.signals import SignalLimit
 from greybox.extensions.design.adjoint import SensitivityRun
-from greybox.extensions.design.goals import (
-    HiddenEffect,
-    make_detection,
-    make_discrimination,
-    make_precision,
-)
+from greybox.extensions.design.goals import HiddenEffect, make_detection, make_discrimination, make_precision
 from greybox.extensions.design.plant import make_plant
 from greybox.extensions.design.problem import Design, DesignCode, DesignPolicy, DesignProblem, GoalName
 from greybox.simulation.simulate import read_inputs

@@ -2,13 +2,7 @@
 
 from greybox.base.document import Equation
 from greybox.shell.project import find_shipped_model
-from greybox.show.documents.tables import (
-    EQUATION_LETTERS,
-    _terms,
-    count_letters,
-    name_parts,
-    typeset_equations,
-)
+from greybox.show.documents.tables import EQUATION_LETTERS, _terms, count_letters, name_parts, typeset_equations
 from greybox.show.printers.html import mathml
 from models.micro_actuator import micro_actuator
 

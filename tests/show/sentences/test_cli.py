@@ -155,12 +155,12 @@ def test_a_simulation_says_its_rows_and_signals() -> None:
     model = SimpleNamespace(title="rig", all_states=(), inputs=(Input("u", "V"),), outputs=(Output("x", "m"),))
     time = np.array([0.0, 1.0, 2.0])
     run = SimpleNamespace(
-        time=time, inputs={"u": time}, outputs={"x": 1e-3 * time}, states={}, discretisation="exact hold"
+        time=time, inputs={"u": time}, outputs={"x": 1e-3 * time}, states={}, discretisation="exact hold", overflow=None
     )
     lines = str(SimulationAnswer(run, model, "x 1 m")).splitlines()  # type: ignore[arg-type]
-    assert lines[0] == "rig was simulated: 3 rows of u and x over 2 s."
+    assert lines[0] == "rig was simulated: 3 rows over 2 s, one every 1 s."
     assert "  x       output  0 to 2 mm" in lines and lines[-2:] == [
-        "note: white noise was added: x 1 m",
+        "note: the written outputs contain added white noise: x 1 m",
         "note: integrated by exact hold",
     ]
 
