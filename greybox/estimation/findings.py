@@ -25,6 +25,7 @@ from greybox.estimation.objective import ProcessNoiseTest
 from greybox.estimation.optimum import Optimum, PredictionOptimum
 from greybox.estimation.parameter_constancy import NOISE_RATIO, find_certain_ratio
 from greybox.estimation.record_trends import find_shared_noise, find_trend, shared_conditions, trend_values
+from greybox.estimation.result import FOLLOWED_PERCENT
 from greybox.estimation.result_parts import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem
@@ -230,9 +231,7 @@ def _list_parameters(code: str, names: Sequence[str], severity: Severity = Sever
     return [Finding(code, severity, "", {"parameters": list(names)})] if names else []
 
 
-# A model that follows less than this per cent of an output (best fit) ...
-FOLLOWED_PERCENT = 50.0
-# ... with a misfit so many times the noise describes another plant.
+# A model that follows little of an output (`FOLLOWED_PERCENT`) with a misfit so many times the noise describes another plant.
 FAR_NOISE_RATIO = 3.0
 # Parameters that are not constant are listed up to this number.
 LISTED_SHIFTS = 3

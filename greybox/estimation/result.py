@@ -15,7 +15,7 @@ from greybox.base import FileKind, Finding, Severity, StoredResult, from_json_da
 from greybox.base.errors import DataError, GreyboxError, ModelError, shorten
 from greybox.base.parallel.local_pool import pack, unpack
 from greybox.base.values import Printable, ReadOnly
-from greybox.data.noise import BoundDirection
+from greybox.data.noise import BoundDirection, NoiseSource
 from greybox.data.problems import RowLabels, find_array_problems
 from greybox.estimation import result_parts
 from greybox.model import Model
@@ -43,6 +43,8 @@ class ResultCode(StrEnum):
 
 # Up to so many times the noise an error counts as noise: its level is known to about a tenth.
 GOOD_MISFIT = 1.2
+# A model that follows less than this per cent of an output (best fit) describes another plant, unless noise is all that is left.
+FOLLOWED_PERCENT = 50.0
 
 
 @dataclass(frozen=True)
@@ -139,12 +141,17 @@ class Fit(Printable, ReadOnly, StoredResult):
         """Whether no error is above its noise, on the fitted records and on those that judge: ``success`` is no word on that."""
         judged = self.validation.misfit if self.judges_validation else {}
         misfits = (*self.judged_misfit.values(), *judged.values())
-        return not any(GOOD_MISFIT < m.noise_ratio < math.inf for m in misfits)
+        return not any(self.is_above_noise(m) and m.noise_ratio < math.inf for m in misfits)
+
+    def is_above_noise(self, misfit: result_parts.Misfit) -> bool:
+        """Whether an error is more than noise. Nothing stands above a noise that is the residual's own: what the model follows tells."""
+        is_own = misfit.source is NoiseSource.RESIDUAL and not self.prediction.process_noise
+        return misfit.noise_ratio > GOOD_MISFIT or (is_own and misfit.best_fit_percent < FOLLOWED_PERCENT)
 
     @property
     def worse_than_constant(self) -> tuple[str, ...]:
         """Outputs above their noise that their own mean would follow better than the model: an optimum that describes nothing."""
-        return tuple(n for n, m in self.judged_misfit.items() if m.best_fit_percent < 0 and m.noise_ratio > GOOD_MISFIT)
+        return tuple(n for n, m in self.judged_misfit.items() if m.best_fit_percent < 0 and self.is_above_noise(m))
 
     @property
     def status(self) -> str:

@@ -173,8 +173,8 @@ def check_expressions(statement: Statement) -> None:
             )
         if not (balance.terms or any(s.name == balance.state and s.noise for s in statement.states)):
             raise ModelError(
-                f"{title}: balance {balance.name!r} has no terms; name at least one, as in Balance(..., spring=-p.K * x.x), or give its"
-                " state process noise (a random walk)"
+                f"{title}: balance {balance.name!r} has no terms; name at least one, as in Balance(..., spring=-p.K * x.x), or make its"
+                f" state a random walk, State({balance.state!r}, ..., noise=0.1)"
             )
         for term, value in balance.terms.items():
             _check_number(f"{title}: balance {balance.name!r}, term {term!r}", value)

@@ -118,3 +118,20 @@ def test_a_short_table_that_the_model_does_not_follow_is_named(rows, seed):
     assert find(found.findings, EstimationCode.MODEL_DOES_NOT_FOLLOW).values["best_fit"]["y"] < 50
     followed = gb.fit(lag(fixed=True), alone)
     assert EstimationCode.MODEL_DOES_NOT_FOLLOW not in [f.code for f in followed.findings]
+
+
+def test_a_short_table_that_a_model_hardly_follows_is_not_explained():
+    """The noise is then the residual itself, which nothing exceeds: what the model follows decides."""
+    time = np.linspace(0.0, 4.0, 9)
+    decay = Model(
+        "decay",
+        [State("x", "1", 1.0)],
+        [],
+        [Output("x", "1")],
+        [Parameter("k", "1/s", 0.4, (0.0, 10.0))],
+        lambda x, u, p: [Balance("decay", "1/s", 1, "x", loss=-p.k * x.x)],
+    )
+    wave, fall = np.sin(2 * time), np.exp(-0.5 * time)
+    said = [str(gb.fit(decay, gb.Experiment("table", time, {}, {"x": x}))) for x in (wave, fall + 0.01 * wave)]
+    assert said[0].startswith("decay does not explain its records")
+    assert said[1].startswith("decay explains its records")

@@ -1,8 +1,9 @@
 """A model measured by its frequency responses, alone or beside records over time: a plant, so that `greybox.fit` fits it.
 
 The model is linearised where the response was measured. Each complex point counts by its error over its standard deviation, its real and
-its imaginary part as one reading each of a record over frequency; without a phase the magnitude is the reading. The search begins on the
-logarithm of the response, where a resonance in the wrong place still attracts, and ends on the response itself.
+its imaginary part as one reading each of a record over frequency; without a phase the magnitude is the reading, or its logarithm where its
+error is a share of it. The search begins on the logarithm of the response, where a resonance in the wrong place still attracts, and ends on
+the response itself.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ class ResponsePlant:
     """A model as its frequency responses show it (`greybox.simulation.plant.Plant`).
 
     A record of it is a response over frequency, by its name (`records`), or one over time, which the model is simulated over. What a point
-    of a response without variance is known by is a share of its size: its parts are divided by that, and their noise is estimated.
+    of a response without variance is known by is a share of its size: its parts are divided by that, or the logarithm of its magnitude is
+    taken, and their noise is estimated.
 
     Attributes
     ----------
@@ -178,22 +180,27 @@ class ResponsePlant:
 
     @staticmethod
     def _channels(response: FrequencyResponse) -> dict[tuple[str, str], tuple[str, ...]]:
-        """Output and input -> names of what was measured of it (`_parts`); those of a response without variance are shares of its size."""
-        kind = "_share" if response.variance is None else ""
+        """Output and input -> names of what was measured of it (`_parts`); without variance shares of its size, or its logarithm."""
+        kind = "" if response.variance is not None else "_share" if response.with_phase else "_log"
         parts = ("real", "imaginary") if response.with_phase else ("magnitude",)
         pairs = product(response.outputs, response.inputs)
         return {(y, u): tuple(f"{y}_per_{u}{kind}_{part}" for part in parts) for y, u in pairs}
 
     @staticmethod
     def _parts(response: FrequencyResponse, point: np.ndarray) -> tuple[np.ndarray, ...]:
-        """What was measured of complex points (N,): real and imaginary part, or the magnitude."""
-        return (point.real, point.imag) if response.with_phase else (np.abs(point),)
+        """What was measured of complex points (N,): real and imaginary part, or the magnitude, without variance its logarithm."""
+        if response.with_phase:
+            return point.real, point.imag
+        # d ln |G| = d|G| / |G|: an error that is a share of the magnitude is one of its logarithm.
+        return (np.log(np.abs(point)) if response.variance is None else np.abs(point),)
 
     @staticmethod
     def _size(response: FrequencyResponse) -> np.ndarray:
-        """What the points (nf, ny, nu) are divided by."""
+        """What the points (nf, ny, nu) are divided by; NaN where one without variance is zero."""
         size = np.abs(response.response)
-        return np.ones(size.shape) if response.variance is not None else np.where(size > 0, size, np.nan)
+        if response.variance is not None:
+            return np.ones(size.shape)
+        return np.where(size > 0, size if response.with_phase else 1.0, np.nan)
 
     @cached_property
     def _functions(self) -> ModelFunctions:

@@ -119,7 +119,7 @@ def fit_answer(fit: Fit) -> str:
             f"{title} does not explain its records: their own mean follows {wording.join_names(lost)} better than the model, and its"
             f" constants mean nothing; {error_text(output, m)}."
         )
-    if m.noise_ratio > GOOD_MISFIT:
+    if fit.is_above_noise(m):
         says = "does not explain its records"
     elif _open_outputs(fit):
         says = "may explain its records, whose noise has no more than a ceiling"
