@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
@@ -17,7 +18,15 @@ from greybox.base import DataError, Finding, Printable, nearest
 from greybox.data import sampling
 from greybox.data.closed_loop import find_loops
 from greybox.data.findings import TIMING, RecordCode
-from greybox.data.input_course import Hold, Holds, choose_courses, find_hold_problems
+from greybox.data.input_course import (
+    CourseEvidence,
+    Hold,
+    Holds,
+    choose_courses,
+    find_hold_problems,
+    find_input_noise,
+    inspect_course,
+)
 from greybox.data.problems import (
     FEW_ROWS,
     RowLabels,
@@ -230,6 +239,21 @@ class Experiment(Printable):
             {n: self.hold[n] for n in self.inputs}
             if isinstance(self.hold, Mapping)
             else dict.fromkeys(self.inputs, self.hold)
+        )
+
+    @cached_property
+    def input_noise(self) -> Mapping[str, float]:
+        """Input -> standard deviation of the white noise of the sensor that measured it; zero where its values show none."""
+        return {n: find_input_noise(values) for n, values in self.inputs.items()}
+
+    @cached_property
+    def open_inputs(self) -> frozenset[str]:
+        """Inputs that may move by the other course, held or straight, for all that their values show."""
+        shown = {n: inspect_course(self.inputs[n], noise) for n, noise in self.input_noise.items()}
+        return frozenset(
+            n
+            for n, course in self.courses.items()
+            if course == "first" or (course == "zero" and shown[n] is not CourseEvidence.STEPS)
         )
 
     @property

@@ -50,15 +50,15 @@ ROUNDED_MOVE = 1e-9
 COARSE_LEVELS, COARSE_STEPS = 4, 2.0
 
 
-def inspect_course(values: np.ndarray) -> CourseEvidence:
-    """What the values (N,) of an input show of its course between rows."""
+def inspect_course(values: np.ndarray, noise: float | None = None) -> CourseEvidence:
+    """What the values (N,) of an input show of its course between rows; their ``noise`` as `find_input_noise` has it, if that is known."""
     first = np.diff(values)
     moves = np.abs(first)
     moves = moves[moves > ROUNDED_MOVE * np.ptp(values)]
     if not len(moves):
         return CourseEvidence.STEPS
     step, slope, bend = moves.min(), np.mean(first**2), np.mean(np.diff(first) ** 2) if len(first) > 1 else math.inf
-    if variance := find_input_noise(values) ** 2:
+    if variance := (find_input_noise(values) if noise is None else noise) ** 2:
         # White noise of variance s^2 has first differences of 2 s^2, and second ones of 6 s^2.
         slope, bend = slope - 2 * variance, bend - 6 * variance
         if slope * MOST_NOISE < 2 * variance:
@@ -134,11 +134,6 @@ def choose_courses(hold: Holds, inputs: Mapping[str, np.ndarray]) -> dict[str, H
     """Input -> its course between rows: as told, else as its values (N,) show."""
     asked = dict(hold) if isinstance(hold, Mapping) else dict.fromkeys(inputs, hold)
     return {n: choose_course(values) if asked.get(n, "auto") == "auto" else asked[n] for n, values in inputs.items()}
-
-
-def is_open(course: Hold, values: np.ndarray) -> bool:
-    """Whether an input (N,) that moves by this course may move by the other one, held or straight, for all that its values show."""
-    return course == "first" or (course == "zero" and inspect_course(values) is not CourseEvidence.STEPS)
 
 
 def choose_course(values: np.ndarray) -> Hold:

@@ -395,6 +395,8 @@ MOVES_BEFORE = 5.0
 def _find_inputs_before(optimum: Optimum, estimates: Mapping[str, Estimate]) -> list[Finding]:
     """A delayed input of which nothing is told before a record that begins in motion: that it was its first value is a guess."""
     model, noise = optimum.model, optimum.problem.noise
+    if not model.system.delays:
+        return []
     values = {**model.values, **{name: e.value for name, e in estimates.items() if name in model.values}}
     delays = ca.Function("delays", [model.system.p], [d.seconds for d in model.system.delays])
     late = [float(value) for value in delays.call([ca.DM([*values.values()])])]

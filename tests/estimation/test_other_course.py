@@ -8,7 +8,9 @@ from scipy.signal import lsim
 
 import greybox as gb
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
+from greybox.estimation import findings
 from greybox.estimation.findings import EstimationCode
+from greybox.estimation.optimum import EARLIER_GAINS, SimulationOptimum
 
 STEP, ROWS = 0.05, 1000
 TIME = STEP * np.arange(ROWS)
@@ -154,3 +156,37 @@ def test_of_two_inputs_the_mistaken_one_is_named() -> None:
     assert not find(right) and right.misfit["T"].rmse == pytest.approx(0.01, rel=0.1)
     placed = gb.fit(room + gb.effect("linear_input_at_Ta"), record)
     assert [q.value for q in placed.parameters.values()] == pytest.approx([q.value for q in right.parameters.values()])
+
+
+@pytest.mark.parametrize("kind", ["held", "means", "inputs alone", "gaps", "at rest"])
+def test_what_means_would_gain_is_foretold_without_a_run(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The gain along the run's own way from row to row bounds what the steps with means find, and is small where inputs are held."""
+    seen: list[SimulationOptimum] = []
+    monkeypatch.setattr(findings, "_find_other_courses", lambda optimum: seen.append(optimum) or [])
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        u, averaged, read = measure_means("steps", seed)
+        time = 5 * STEP * np.arange(1, len(u) + 1)
+        y = averaged if kind == "means" else read
+        if kind == "held":
+            u = rng.normal(size=len(time) // 5 + 1).repeat(5)[: len(time)]
+            y = lsim(([[-0.5]], [[1.0]], [[1.0]], [[0.0]]), u, time - time[0], interp=False, X0=[2 * u[0]])[1]
+        y = y + 0.02 * y.std() * rng.normal(size=len(y))
+        if kind == "gaps":
+            y[30:60] = np.nan
+        options = gb.FitOptions(at_rest=kind == "at rest")
+        gb.fit(lag, Experiment.from_arrays(time, {"u": u}, {"y": y}), options=options)
+    foretold = [optimum._gain_by_acting_earlier for optimum in seen]
+    if kind == "held":
+        assert np.median(foretold) < 1
+        assert max(foretold) < EARLIER_GAINS
+    monkeypatch.setattr("greybox.estimation.optimum.EARLIER_GAINS", -1.0)
+    for optimum, bound in zip(seen, foretold, strict=True):
+        means = [c.gain for c in optimum.other_courses if isinstance(c.courses, str) or "mean" in c.courses.values()]
+        assert len(means) == 2
+        assert max(means) <= bound * 1.05 + 0.5
+        if kind != "held":
+            assert max(means) > 100 > EARLIER_GAINS
+        # A run that begins at rest, though the record did not, cannot move on along its way from there.
+        if kind not in ("held", "at rest"):
+            assert max(means) > 0.5 * bound
