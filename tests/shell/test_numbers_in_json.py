@@ -92,27 +92,43 @@ def shown_numbers(text: str) -> Iterator[tuple[str, str, str]]:
     text = re.sub(
         r"\u00b710([\u2070\u00b9\u00b2\u00b3\u2074-\u2079\u207b]+)", lambda k: "e" + k[1].translate(RAISED), text
     )
-    for line in text.replace("\u2212", "-").splitlines():
-        told = NOT_TOLD.sub("", re.sub(r"\s+", " ", line).strip())
+    lines = [re.sub(r"\s+", " ", line).strip() for line in text.replace("\u2212", "-").splitlines()]
+    for line, of_table in zip(lines, find_table_units(lines), strict=True):
+        told = NOT_TOLD.sub("", line)
         unit, end = "", len(told)
         for here in reversed(list(NUMBER.finditer(told))):
-            unit = here[2] or (unit if JOINED.fullmatch(told[here.end() : end]) else "")
+            unit = here[2] or (unit if JOINED.fullmatch(told[here.end() : end]) else of_table)
             end = here.start()
             if unit or re.search(r"[.e]", here[1]):
                 yield here[1], unit, told
 
 
-# The unit of a number in a table stands at the head of its column: the one that is stored, or a thousandth of it, and so on.
-AT_THE_HEAD = (1.0, 1e3, 1e6)
+# A table of errors says their unit once: at the head of its rows in a terminal, and below them on a page.
+ABOVE, BELOW, FIRST = (
+    re.compile(rf"\[({UNIT})\] box "),
+    re.compile(rf"rms errors in ({UNIT})\.$"),
+    re.compile(r"^model box "),
+)
+
+
+def find_table_units(lines: list[str]) -> list[str]:
+    """The unit that its table gives to the bare numbers of each line; "" where it gives none."""
+    units = [""] * len(lines)
+    for k, line in enumerate(lines):
+        if head := ABOVE.search(line):
+            end = next((n for n in range(k, len(lines)) if not lines[n]), len(lines))
+            units[k + 1 : end] = [head[1]] * (end - k - 1)
+        if foot := BELOW.search(line):
+            first = max(n for n in range(k) if FIRST.search(lines[n]))
+            units[first + 1 : k] = [foot[1]] * (k - first - 1)
+    return units
 
 
 def is_stored(number: str, unit: str, stored: np.ndarray) -> bool:
     """Whether a stored number, in the shown unit, is the shown one to its digits."""
     mantissa, _, exponent = number.partition("e")
     half = 0.5 * 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])) * (1 + 1e-6)
-    return any(
-        bool(np.any(np.abs(factor * stored - abs(float(number))) <= half)) for factor in UNITS.get(unit, AT_THE_HEAD)
-    )
+    return any(bool(np.any(np.abs(factor * stored - abs(float(number))) <= half)) for factor in UNITS.get(unit, (1.0,)))
 
 
 @pytest.fixture(scope="module")
@@ -195,3 +211,20 @@ def test_numbers_are_read_with_their_units(text: str, told: list[tuple[str, str]
 )
 def test_a_number_is_found_in_its_unit_only(number: str, unit: str, is_there: bool) -> None:
     assert is_stored(number, unit, np.array([1.8546e-5, 0.634])) is is_there
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        "validation: y [{}]  box    free run  best fit  one step\narx  black  982  98.90 %  1955\n\n7.5",
+        "7.5\nmodel  box  free run  best fit  one step\n\narx  black  982  98.90 %  1955\n\nFree run ahead: rms errors in {}.",
+    ],
+)
+@pytest.mark.parametrize(("unit", "is_there"), [("\u00b5V", True), ("mV", False), ("V", False)])
+def test_a_bare_number_of_a_table_has_the_unit_of_the_table(table: str, unit: str, is_there: bool) -> None:
+    shown = {number: of for number, of, _ in shown_numbers(table.format(unit))}
+    assert shown == {"982": unit, "98.90": "%", "1955": unit, "7.5": ""}
+    # A table whose head has another prefix than its numbers is found out.
+    assert [is_stored(number, shown[number], np.array([9.82e-4, 1.955e-3])) for number in ("982", "1955")] == [
+        is_there
+    ] * 2
