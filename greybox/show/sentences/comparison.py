@@ -13,7 +13,7 @@ from greybox.comparison.blackbox.polynomial import BlackBoxFinding
 from greybox.comparison.result import ComparisonFinding
 from greybox.show.sentences import register, renders, writes
 from greybox.show.sentences.estimation import status_text
-from greybox.show.sentences.wording import format_number, value_with_unit, with_unit
+from greybox.show.sentences.wording import quantity_text, value_with_unit
 
 if TYPE_CHECKING:
     from greybox.base import Check
@@ -33,8 +33,8 @@ RECORDS = {
 @writes(ComparisonFinding.BEST_MODEL)
 def _best_model(finding: Finding) -> str:
     values = finding.values
-    unit = format_unit(values["unit"])
-    error = with_unit(format_number(values["error"], 4), unit)
+    unit, least, other = format_unit(values["unit"]), values["error"], values.get("rival_error", 0.0)
+    error = quantity_text(least, unit, 4)
     text = (
         f"{finding.subject}, {MEASURE[values['measure']]} {RECORDS[values['records']]}: {_model_name(values['model'])} is best,"
         f" {error}"
@@ -44,10 +44,9 @@ def _best_model(finding: Finding) -> str:
     rival = _model_name(values["rival"])
     if values["equally_good"]:
         return f"{text}. {rival} is equally good within {100 * values['tolerance']:.0f} %."
-    least, other = values["error"], values["rival_error"]
     if least > 0:
         return f"{text}. The best {values['other_kind']} box, {rival}, has {other / least:.3g} times the error."
-    return f"{text}. The best {values['other_kind']} box, {rival}, has {with_unit(format_number(other, 4), unit)}."
+    return f"{text}. The best {values['other_kind']} box, {rival}, has {quantity_text(other, unit, 4)}."
 
 
 def _model_name(model: Mapping[str, Any]) -> str:
@@ -66,7 +65,7 @@ def _bic_of_different_outputs(finding: Finding) -> str:
 def _failure(records: str) -> Callable[[Finding], str]:
     def write(finding: Finding) -> str:
         values, unit = finding.values, format_unit(finding.values["unit"])
-        error, movement = (with_unit(format_number(values[key], 3), unit) for key in ("error", "movement"))
+        error, movement = (quantity_text(values[key], unit) for key in ("error", "movement"))
         runs = f"errs by {error}" if np.isfinite(values["error"]) else "leaves all bounds"
         return f"failed: its free run of {finding.subject} over {records} {runs}, where a constant errs by {movement}"
 

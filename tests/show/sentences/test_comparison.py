@@ -19,7 +19,7 @@ BEST = {
     "other_kind": "black",
 }
 RIVAL = {"rival": ARX, "rival_error": 0.005, "equally_good": False, "tolerance": 0.02}
-HEAD = "y, free run on the validation records: mass (grey box, 2 parameters) is best, 0.002 m."
+HEAD = "y, free run on the validation records: mass (grey box, 2 parameters) is best, 2 mm."
 
 SENTENCES = {
     Code.BEST_MODEL: (
@@ -46,11 +46,11 @@ SENTENCES = {
     ),
     Code.WORSE_THAN_CONSTANT: (
         Finding(Code.WORSE_THAN_CONSTANT, subject="p", values={"error": 2.1e5, "movement": 1.5e5, "unit": "Pa"}),
-        "failed: its free run of p over the records that it was fitted to errs by 2.1e+05 Pa, where a constant errs by 1.5e+05 Pa",
+        "failed: its free run of p over the records that it was fitted to errs by 210 kPa, where a constant errs by 150 kPa",
     ),
     Code.DIVERGED: (
         Finding(Code.DIVERGED, subject="p", values={"error": np.inf, "movement": 1.5e5, "unit": "Pa"}),
-        "failed: its free run of p over the validation records leaves all bounds, where a constant errs by 1.5e+05 Pa",
+        "failed: its free run of p over the validation records leaves all bounds, where a constant errs by 150 kPa",
     ),
     Code.FIT_FAILED: (
         Finding(Code.FIT_FAILED, subject="mass", values={"status": "interrupted"}),
