@@ -35,7 +35,7 @@ COMMANDS = {
 }
 EAGER = """
 from greybox.discovery.execution import RefitExecutor
-from greybox.cli import main
+from greybox.shell import main
 RefitExecutor.parallel_seconds = property(lambda _: 0.0, lambda *_: None)
 main()
 """
@@ -120,8 +120,8 @@ def run_whole(command: str, data: Path, folder: Path) -> tuple[float, dict[str, 
     """CPU seconds and answer of a command that nobody disturbs."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     process = start(command, data, folder, "whole")
-    process.communicate()
-    assert process.returncode in (0, 1)
+    _, said = process.communicate()
+    assert process.returncode in (0, 1) and b"Traceback" not in said, said.decode()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
     print(f"{command}: {seconds:.1f} CPU s", flush=True)
