@@ -141,7 +141,8 @@ class Fit(Printable, ReadOnly, StoredResult):
         """Whether no error is above its noise, on the fitted records and on those that judge: ``success`` is no word on that."""
         judged = self.validation.misfit if self.judges_validation else {}
         misfits = (*self.judged_misfit.values(), *judged.values())
-        return not any(self.is_above_noise(m) and m.noise_ratio < math.inf for m in misfits)
+        # A run that fails has no error; without a noise the ratio is infinite.
+        return all(math.isfinite(m.rmse) and not (self.is_above_noise(m) and m.noise_ratio < math.inf) for m in misfits)
 
     def is_above_noise(self, misfit: result_parts.Misfit) -> bool:
         """Whether an error is more than noise. Nothing stands above a noise that is the residual's own: what the model follows tells."""

@@ -26,13 +26,18 @@ class PlantRunError(GreyboxError):
     """A run of a plant that failed: the search draws back from where it was asked for."""
 
 
+class PlantLostError(GreyboxError):
+    """A plant whose code has ended its process again and again."""
+
+
 class Plant(Protocol):
     """What can be run over a record. One method is enough; the others are abilities that a plant may have.
 
     ``name``, ``inputs``, ``outputs`` and ``parameters`` are those of a model (`Input`, `Output`, `Parameter` with units, bounds and start
     values). Optional: ``states`` (`State`), whose initial values a record may have for itself; `CanDifferentiate`, `CanLinearise`,
-    `CanApproach`; ``cheap = True`` where a run takes no time to speak of, so that nothing is done to save runs; and ``discrete = True`` for
-    what steps from row to row and takes its inputs there alone.
+    `CanApproach`; ``cheap = True`` where a run takes no time to speak of, so that nothing is done to save runs; ``discrete = True`` for
+    what steps from row to row and takes its inputs there alone; and ``is_native = True`` for machine code of others, which runs in a
+    process of its own, as it may end that.
 
     Examples
     --------
@@ -185,7 +190,7 @@ class PlantModel(Model):
 
     @property
     def may_end_process(self) -> bool:
-        """Whether its runs may take the process along: it runs machine code that others have compiled, and says so (``is_native``)."""
+        """Whether its runs may take their process along, which is then one of its own."""
         return bool(getattr(self.plant, "is_native", False))
 
     @classmethod

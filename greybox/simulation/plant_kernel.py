@@ -17,6 +17,7 @@ from greybox.simulation.kernel.interface import GaussNewtonSums, KernelPoint, ch
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.local_model import build_local_model, extend_record, name_arriving
 from greybox.simulation.plant import CanDifferentiate, PlantModel, PlantRecord, PlantRunError, to_plant_record
+from greybox.simulation.plant_process import PlantProcess
 from greybox.simulation.records import to_record
 
 # Step of a constant for a slope, over its size: above what solvers with a tolerance of 1e-8 scatter, below what bends.
@@ -41,7 +42,7 @@ class PlantKernel:
     reason = "it has no equations"
 
     def __init__(self, model: PlantModel) -> None:
-        self.model, self.plant = model, model.plant
+        self.model, self.plant = model, PlantProcess.of(model.plant) if model.may_end_process else model.plant
         self.runs = self.failures = self.rows = 0
         self.central, self._can_differentiate = False, isinstance(model.plant, CanDifferentiate)
         self._known: dict[tuple, np.ndarray | PlantRunError] = {}

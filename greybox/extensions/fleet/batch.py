@@ -34,7 +34,7 @@ from greybox.extensions.fleet.records import RecordCollection, RecordReference, 
 from greybox.extensions.fleet.result import FleetResult, RecordEstimate, RecordStatus
 from greybox.model import Model
 from greybox.model.equations import identify
-from greybox.simulation.plant import Plant, PlantModel, as_model
+from greybox.simulation.plant import Plant, as_model
 
 Item = Experiment | RecordReference
 """A record, or where it lies."""
@@ -294,9 +294,6 @@ class _FleetRun:
 
     def do(self, numbers: Sequence[int], executor: Executor | None, workers: int, size: int) -> bool:
         """Fit these records in jobs of ``size``; whether Ctrl-C ended it."""
-        if executor is None and isinstance(self.work.model, PlantModel) and self.work.model.may_end_process:
-            # Never in this process, which its code may end: a record that does is named, and the others are done.
-            return self.do_apart(numbers, None, workers or 1)
         jobs = [numbers[first : first + size] for first in range(0, len(numbers), size)]
         # As `run_jobs` decides it.
         workers = min(workers or count_cores(), max(len(jobs), 1))

@@ -148,9 +148,11 @@ def error_text(output: str, m: result_parts.Misfit) -> str:
 def _judged(fit: Fit) -> str:
     """What records say that were not fitted."""
     worst = _worst(fit.validation.misfit)
+    records = wording.count_noun(len(fit.validation.traces), "validation record")
+    if not all(math.isfinite(m.rmse) for m in fit.validation.misfit.values()):
+        return f"; it cannot be run over {records}"
     if worst is None:
         return ""
-    records = wording.count_noun(len(fit.validation.traces), "validation record")
     judges = "" if fit.judges_validation else ", which judges nothing"
     output, m = worst
     free = " in a free run" if fit.prediction.process_noise else ""
