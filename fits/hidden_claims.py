@@ -130,15 +130,15 @@ def fit_map(claims: Sequence[Row]) -> np.ndarray:
     return np.asarray(minimize(cost, prior, jac=True, method="L-BFGS-B", bounds=bounds).x)
 
 
-def calibrate(rows: Sequence[Row], file: Path) -> None:
-    """Fit the map to one draw of cases and write it to ``file``, with the cases that it has seen."""
-    depths = {str(int(d)): [round(float(v), 3) for v in fit_map(list_claims(rows, d))] for d in Depth}
-    data = {
-        "source": "python -m fits.hidden_study FOLDER --calibrate",
-        "cases": [rows[0]["name"], rows[-1]["name"]],
-        "answers": sum(len(row["answers"]) for row in rows),
-        "depths": depths,
-    }
+def calibrate(rows: Sequence[Row], file: Path, depths: Sequence[Depth]) -> None:
+    """Fit the map of some depths to one draw of cases and write it to ``file``, with the cases that each has seen."""
+    data = json.loads(file.read_text(encoding="utf-8"))
+    for depth in depths:
+        data["depths"][str(int(depth))] = {
+            "constants": [round(float(v), 3) for v in fit_map(list_claims(rows, depth))],
+            "cases": [rows[0]["name"], rows[-1]["name"]],
+            "answers": sum(len(row["answers"]) for row in rows),
+        }
     file.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 

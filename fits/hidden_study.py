@@ -8,8 +8,8 @@ their families taken away. Every case leaves FOLDER/NNNNN.json, so the study goe
 
 ``--page`` writes docs/studies/discovery_study.md with its figures from what FOLDER holds, bad results
 included.
-``--calibrate`` fits the map from the weight of a claim to its probability to what FOLDER holds: the page on claims must then come from
-another draw.
+``--calibrate variables`` (or another depth) fits the map from the weight of such a claim to its probability to what FOLDER holds: the
+page on claims must then come from another draw.
 """
 
 from __future__ import annotations
@@ -221,14 +221,18 @@ def main() -> None:
     arguments.add_argument("--cases", type=int, default=CASES)
     arguments.add_argument("--first", type=int, default=FIRST)
     arguments.add_argument("--rows", type=int, default=ROWS)
-    arguments.add_argument("--calibrate", action="store_true", help="fit the map of claims to what the folder holds")
+    depths = {depth.name.lower(): depth for depth in claims.Depth}
+    arguments.add_argument(
+        "--calibrate", nargs="+", choices=depths, help="fit the map of these claims to what the folder holds"
+    )
     arguments.add_argument("--page", action="store_true", help="write the pages from what the folder holds")
     arguments.add_argument("--workers", type=int, default=1, help="processes; 0: one for each core")
     arguments.add_argument("--cluster", default="", help="address of a Dask scheduler, or local")
     chosen = arguments.parse_args()
     chosen.folder.mkdir(parents=True, exist_ok=True)
     if chosen.calibrate:
-        calibrate(read(chosen.folder), Path(claims.__file__).parent / "certainty.json")
+        file = Path(claims.__file__).parent / "certainty.json"
+        calibrate(read(chosen.folder), file, [depths[name] for name in chosen.calibrate])
         return
     if not chosen.page:
         study(chosen.folder, chosen.cases, chosen.first, chosen.rows, chosen.workers, chosen.cluster)

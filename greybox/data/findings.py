@@ -41,6 +41,7 @@ class RecordCode(StrEnum):
     CONDITION_READ = "condition_read"
     ONE_OF_RUNS = "one_of_runs"
     RESAMPLED = "record_resampled"
+    ROWS_OF_PAST = "rows_of_past"
     NO_TIME = "no_time"
     TIME_UNUSABLE = "time_unusable"
     COLUMN_WITH_TEXT = "column_with_text"

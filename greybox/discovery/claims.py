@@ -591,7 +591,7 @@ SOME_LEFT = 0.05
 def read_certainty() -> Mapping[int, tuple[float, ...]]:
     """By depth, the constants of the map: intercept, then the slopes along `to_features`."""
     data = json.loads((files("greybox.discovery") / "certainty.json").read_text(encoding="utf-8"))
-    return {int(depth): tuple(row) for depth, row in data["depths"].items()}
+    return {int(depth): tuple(entry["constants"]) for depth, entry in data["depths"].items()}
 
 
 def weigh_claim(claim: Claim) -> float:

@@ -19,8 +19,10 @@ from typing import Any
 import numpy as np
 
 from greybox.base import DataError, Finding, ModelError, Severity
+from greybox.base.values import with_code
 from greybox.data.data_frame import Frame
-from greybox.data.experiment import Experiment, name_records
+from greybox.data.experiment import Experiment, collect_record_findings, name_records
+from greybox.data.findings import RecordCode
 from greybox.data.identity import find_shared_readings, refuse_repeated
 from greybox.data.noise.growing import GrowingNoise
 from greybox.data.read import as_experiments
@@ -42,9 +44,10 @@ from greybox.estimation import Fit, FitOptions
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit as estimate
 from greybox.estimation.record_trends import shared_conditions
-from greybox.estimation.transcription.problem import TranscriptionReason
+from greybox.estimation.transcription.problem import TranscriptionReason, begin_with_known_past
 from greybox.model import Effect, Model
-from greybox.model.effects import Scales
+from greybox.model.effects import Scales, all_effects
+from greybox.model.effects.scales import LONGEST_DELAY
 from greybox.simulation.plant import Plant, PlantModel, as_model
 
 Records = Experiment | Frame | Sequence[Any]
@@ -160,6 +163,13 @@ def discover(
     if options.to_loss() is not None:  # sets of effects are compared by squares: what the loss would limit is left out
         learnt, judges, tests = (tuple(r.without_spikes() for r in records) for records in (learnt, judges, tests))
         options = replace(options, loss="squares")
+    model = as_model(model)
+    candidates = (*(all_effects() if effects is None else effects), *beside)
+    # Every candidate sees the same rows: a delay must not be held against those of which nobody knows the input.
+    if any(isinstance(e, Effect) and e.delay and e.name not in without for e in candidates) and not (
+        options.at_rest or isinstance(model, PlantModel)
+    ):
+        learnt, judges, tests = (tuple(_begin_with_known_past(model, r) for r in rs) for rs in (learnt, judges, tests))
     validation_set = ValidationSet(judges, skip, beginning)
     growing = [name for name, given in (noise or {}).items() if isinstance(given, GrowingNoise)]
     if growing:
@@ -181,7 +191,7 @@ def discover(
             "no validation record: a discovery needs a record that was not fitted; give at least one, another run or the"
             " end of this one (shell: --validate FILE)"
         )
-    if isinstance(model := as_model(model), PlantModel):
+    if isinstance(model, PlantModel):
         if laws:
             raise ModelError(
                 f"{model.title} is run from outside: the equation that a balance lacks needs equations; leave out laws"
@@ -253,14 +263,14 @@ def discover(
             listed = list_candidates(model, scales, problem.failures, beside) if beside else CandidateList(())
         else:
             listed = list_candidates(model, scales, problem.failures, effects, without, beside)
-        findings: tuple[Finding, ...] = ()
+        findings = with_code(collect_record_findings(learnt), RecordCode.ROWS_OF_PAST)
         answer = _search(problem, listed.effects, scales, validation_set, policy, on_message, further)
         if not refits.is_late and _is_to_learn(answer):
             on_message(str(Finding(DiscoveryCode.LEARNING_FROM_VALIDATION)))
             first_halves, second_halves = validation_set.halve()
             wider = replace(problem, experiments=(*problem.experiments, *first_halves))
             answer = _search(wider, listed.effects, scales, second_halves, policy, on_message, further)
-            findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION, Severity.WARNING),)
+            findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION, Severity.WARNING), *findings)
         findings = (*findings, *unstable)
         result = conclude(answer, test_set, findings, problem if laws else None)
         if stuck := find_stuck_start(problem.baseline, result.base):
@@ -287,6 +297,11 @@ def discover(
             failures=tuple(problem.failures.entries.values()),
             seconds=time.perf_counter() - began,
         )
+
+
+def _begin_with_known_past(model: Model, record: Experiment) -> Experiment:
+    """``record`` from the row on whose past it holds as far back as a delay is looked for."""
+    return begin_with_known_past(model, record, LONGEST_DELAY * float(np.median(record.intervals)))
 
 
 # Misfit of the plain model from its start values over that of the one in the answer, from which the first was in another optimum.

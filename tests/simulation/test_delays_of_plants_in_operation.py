@@ -5,6 +5,7 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.data.findings import RecordCode
 from greybox.estimation.findings import EstimationCode
 from greybox.simulation.simulate import read_inputs
 
@@ -136,23 +137,39 @@ def warnings_of_the_past(result):
     return [f for f in result.findings if f.code == EstimationCode.INPUT_BEFORE_OPEN]
 
 
-@pytest.mark.parametrize("told", [None, 12.0])
-def test_a_record_that_begins_in_motion_asks_for_what_the_input_was(told):
+def drive_in_motion():
+    """From 16 K under an input that was 12 K before and is 20 K in the first row."""
     u, d = drive(20.0)
     y = exact(u, d, 12.0, 16.0) + 0.01 * np.random.default_rng(2).normal(size=len(u))
-    before = {} if told is None else {"u": told}
-    record = gb.Experiment("run", STEP * np.arange(len(u)), {"u": u, "d": d}, {"x": y}, before=before)
+    return STEP * np.arange(len(u)), {"u": u, "d": d}, {"x": y}
+
+
+@pytest.mark.parametrize("told", [None, 12.0])
+def test_the_first_rows_of_a_record_in_motion_tell_the_past_of_the_rest(told):
+    record = gb.Experiment("run", *drive_in_motion(), before={} if told is None else {"u": told})
     found = gb.fit(lag(20.0), record, noise={"x": 0.01})
-    notes = warnings_of_the_past(found)
-    assert len(notes) == (told is None)
+    notes = [f for f in found.findings if f.code == RecordCode.ROWS_OF_PAST]
+    assert len(notes) == (told is None) and not warnings_of_the_past(found)
+    # Fifteen rows of 20 ms may be reached by a delay of up to 0.3 s.
+    left_out = 15 if told is None else 0
+    assert found.traces[0].time[0] == pytest.approx(left_out * STEP)
     if notes:
-        assert notes[0].values["first"] == u[0]
-        assert "--before u=VALUE" in str(notes[0])
-        # The remedy: what follows knows its past.
-        later = record.window(int(np.ceil(notes[0].values["until"] / STEP)), record.rows)
-        found = gb.fit(lag(20.0), later, noise={"x": 0.01})
-        assert not warnings_of_the_past(found)
+        assert notes[0].values["rows"] == left_out and "--before INPUT=VALUE" in str(notes[0])
+    assert found.misfit["x"].noise_ratio < 1.1
     assert found.parameters["delay"].value == pytest.approx(DELAY, abs=4 * found.parameters["delay"].std)
+
+
+def test_a_short_record_in_motion_asks_for_what_the_input_was():
+    time, inputs, outputs = drive_in_motion()
+    first = ({n: v[:50] for n, v in signals.items()} for signals in (inputs, outputs))
+    record = gb.Experiment("run", time[:50], *first)
+    found = gb.fit(lag(20.0), record, noise={"x": 0.01})
+    (note,) = warnings_of_the_past(found)
+    assert note.values["first"] == record.inputs["u"][0]
+    assert "--before u=VALUE" in str(note)
+    # The remedy: what follows knows its past.
+    later = record.window(int(np.ceil(note.values["until"] / STEP)), record.rows)
+    assert not warnings_of_the_past(gb.fit(lag(20.0), later, noise={"x": 0.01}))
 
 
 def test_a_record_that_begins_at_rest_asks_for_nothing():

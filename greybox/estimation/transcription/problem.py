@@ -10,10 +10,12 @@ from enum import StrEnum
 import casadi as ca
 import numpy as np
 
-from greybox.base import TINY, Finding, ModelError, Severity, nearest
+from greybox.base import TIME_ROUNDING, TINY, Finding, ModelError, Severity, nearest
 from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
+from greybox.data.findings import RecordCode
 from greybox.data.noise import AutoRegression, GrowingNoise, NoiseModel, estimate_noise
+from greybox.data.noise.spectrum import estimate_noise_from_differences
 from greybox.data.problems import is_constant
 from greybox.data.read import as_experiments
 from greybox.data.sensor_faults import is_first_off
@@ -221,8 +223,11 @@ def prepare_problem(
     group = to_experiments(as_experiments(experiments, model))
     for e in group:
         model.check_measured(f"experiment {e.name!r}", e.outputs)
-    if options.at_rest and not isinstance(model, PlantModel) and model.system.delays:
-        group = tuple(_begin_at_rest(model, e) for e in group)
+    if not isinstance(model, PlantModel) and model.system.delays:
+        reach = sum(d.longest for d in model.system.delays)
+        group = tuple(
+            _begin_at_rest(model, e) if options.at_rest else begin_with_known_past(model, e, reach) for e in group
+        )
     arrays = [to_record(model, e) for e in group]  # before the noise: it refuses records that do not go with the model
     if not isinstance(noise, NoiseModel):
         noise = estimate_noise(
@@ -319,6 +324,42 @@ def _begin_at_rest(model: Model, experiment: Experiment) -> Experiment:
     ]
     is_rest = rates[1] < REST_SHARE * rates[0]
     return replace(experiment, before=dict.fromkeys(late, np.zeros(1))) if is_rest else experiment
+
+
+# Rows in which no input moves, from which they show whether the plant rests.
+STANDING_ROWS = 4
+# How far an output moves meanwhile, in its noise, from which that is no rest.
+MOVES_STANDING = 6.0
+# Share of a record that may be given for the past of the rest; beyond it the first value is taken for what was before, with a warning.
+MOST_PAST = 0.1
+
+
+def begin_with_known_past(model: Model, experiment: Experiment, reach: float) -> Experiment:
+    """``experiment`` from the row on whose past, ``reach`` seconds of it, it holds itself, where its first rows show no rest.
+
+    Of a plant in motion nobody can say what its inputs were before; an input that acts late brings that into the first rows. What is told
+    of it stands (`Experiment.before`), and at rest each input was what it is in the first row.
+    """
+    inputs = [experiment.inputs[i.name] for i in model.inputs if i.name in experiment.inputs]
+    rows = math.ceil(reach / float(np.median(experiment.intervals)) - TIME_ROUNDING)
+    if len(experiment.before_ages) or not inputs or not 0 < rows <= MOST_PAST * experiment.rows:
+        return experiment
+    moved = [np.flatnonzero(u != u[0]) for u in inputs]
+    standing = min((int(m[0]) for m in moved if len(m)), default=experiment.rows)
+    measured = [experiment.outputs[o.name] for o in model.outputs if o.name in experiment.outputs]
+    if standing >= STANDING_ROWS and all(_stands(y, standing) for y in measured):
+        return experiment
+    note = Finding(RecordCode.ROWS_OF_PAST, values={"rows": rows, "seconds": reach})
+    part = experiment.window(rows, experiment.rows)
+    return replace(part, name=experiment.name, findings=(*experiment.findings, note))
+
+
+def _stands(readings: np.ndarray, rows: int) -> bool:
+    """Whether the first ``rows`` of ``readings`` (N,) show no more than noise."""
+    first = readings[:rows][np.isfinite(readings[:rows])]
+    # Of a signal without noise the differences are those of rounding.
+    noise = np.nan_to_num(estimate_noise_from_differences(readings)) + TINY
+    return len(first) < 2 or float(np.ptp(first)) <= MOVES_STANDING * noise
 
 
 def _spread_noise(record: Record, experiment: Experiment, noise: NoiseModel) -> Record:

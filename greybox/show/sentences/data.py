@@ -150,6 +150,8 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     ),
     RecordCode.ROWS_ON_CHANGE: "there is a row only when {kind} '{subject}' has changed by {band:.4g}: when an input changed between two"
     " rows is not recorded, and constants of fast motions take this up; log every change of the inputs too, or at a fixed rate",
+    RecordCode.ROWS_OF_PAST: "the record begins in motion, and what its inputs were before is not told: its first {rows} rows"
+    " ({seconds:.4g} s) only tell what reaches the rest late; with --before INPUT=VALUE (before=) they count",
     RecordCode.INPUT_TAKEN_STRAIGHT: "input {subject} is smooth and carries the noise of a sensor, as what is measured does and a"
     " computer's output does not: it is taken as straight between its rows; if it is held tell so with hold='zero' (shell: --interpolate"
     " {subject}=zero)",
