@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.base import DataError, Finding, Printable, nearest
+from greybox.base import DataError, Finding, Printable, Severity, nearest
 from greybox.data import sampling
 from greybox.data.closed_loop import find_loops
 from greybox.data.findings import TIMING, RecordCode
@@ -443,14 +443,25 @@ def collect_record_findings(experiments: Iterable[Experiment]) -> tuple[Finding,
     tuple of Finding
         As the records have them, with ``records``: the files, or the names of records without a file.
     """
-    findings: dict[str, Finding] = {}
-    names: dict[str, dict[str, None]] = {}
+    experiments, findings, names = list(experiments), dict[str, Finding](), dict[str, dict[str, None]]()
+    # One signal moves in one way; where it stands still any is right.
+    courses = {
+        n: {e.courses[n] for e in experiments if n in e.courses and np.ptp(e.inputs[n]) > 0}
+        for e in experiments[:1]
+        for n in e.inputs
+    }
+    differing = [
+        Finding(RecordCode.INPUT_COURSES_DIFFER, Severity.WARNING, n, {"courses": sorted(found)})
+        for n, found in courses.items()
+        if len(found) > 1
+    ]
     for experiment in experiments:
         for finding in experiment.findings:
             key = json.dumps([finding.code, finding.subject, dict(finding.values)], default=str)
             findings.setdefault(key, finding)
             names.setdefault(key, {})[experiment.source or experiment.name] = None
-    return tuple(replace(f, values={**f.values, "records": list(names[key])}) for key, f in findings.items())
+    each = (replace(f, values={**f.values, "records": list(names[key])}) for key, f in findings.items())
+    return (*differing, *each)
 
 
 def as_records(records: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:

@@ -26,6 +26,8 @@ class RecordCode(StrEnum):
     SENT_ON_CHANGE = "sent_on_change"
     ROWS_ON_CHANGE = "rows_on_change"
     INPUT_TAKEN_STRAIGHT = "input_taken_straight"
+    INPUT_COURSE_SHARED = "input_course_shared"
+    INPUT_COURSES_DIFFER = "input_courses_differ"
     TIME_ROUNDED = "time_rounded"
     TIME_GAP = "time_gap"
     TIME_ROWS_MISSING = "time_rows_missing"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -33,7 +34,14 @@ from greybox.data.experiment import MAX_DELAY_ROWS, UNNAMED, Experiment
 from greybox.data.file_kinds import RecordFile, open_record_file
 from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME
-from greybox.data.input_course import Hold, Holds, find_hold_problems
+from greybox.data.input_course import (
+    CourseEvidence,
+    Hold,
+    Holds,
+    choose_course,
+    find_hold_problems,
+    inspect_course,
+)
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels, find_array_problems, find_measurement_problems, raise_problems
 from greybox.data.stamps import SECOND, StampReader, Stamps, Start, find_origin, from_digits, from_epoch
@@ -395,6 +403,13 @@ def _read_runs(
     requested = request_conditions(model, [name for name in conditions or {} if name not in given])
     read_one = partial(read_arrays, model=model, conditions=requested, hold=hold, **source._asdict())
     records = _collect([partial(read_one, path) for path in paths])
+    if shared := _find_shared_courses(records, hold, source.interpolation or {}):
+        read_one = partial(read_one, interpolation={**(source.interpolation or {}), **shared})
+        records = _collect([partial(read_one, path) for path in paths])
+        said = tuple(
+            Finding(RecordCode.INPUT_COURSE_SHARED, subject=n, values={"course": c}) for n, c in shared.items()
+        )
+        records = [record._replace(findings=(*record.findings, *said)) for record in records]
     # Dated records count from one origin, the earliest of them, so that they lie to each other as they were taken.
     origin, after = find_origin({str(k): record.start for k, record in enumerate(records)})
     experiments: list[Callable[[], list[Experiment]]] = []
@@ -410,6 +425,27 @@ def _read_runs(
             partial(_to_experiments, record, name, model, requested, given, allow_constant_input, window, split)
         )
     return [experiment for runs in _collect(experiments) for experiment in runs]
+
+
+def _find_shared_courses(
+    records: Sequence[RecordArrays], hold: Holds, interpolation: Mapping[str, Hold]
+) -> dict[str, Hold]:
+    """One course for each input that nobody told and that moves differently from record to record by their values: one signal has one."""
+    told = {**(hold if isinstance(hold, Mapping) else {}), **interpolation}
+    common = "auto" if isinstance(hold, Mapping) else hold
+    shared: dict[str, Hold] = {}
+    for name in (n for n in records[0].inputs if told.get(n, common) == "auto"):
+        columns = [record.inputs[name][np.isfinite(record.inputs[name])] for record in records]
+        # A record in which it stands still shows nothing.
+        moving = [column for column in columns if len(column) and np.ptp(column) > 0]
+        if len({choose_course(column) for column in moving}) < 2:
+            continue
+        votes = Counter[CourseEvidence]()
+        for column in moving:
+            votes[inspect_course(column)] += len(column)
+        smooth, stepped = votes[CourseEvidence.SMOOTH_AND_NOISY], votes[CourseEvidence.STEPS]
+        shared[name] = "first" if smooth > stepped else "zero"
+    return shared
 
 
 Result = TypeVar("Result")

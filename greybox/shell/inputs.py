@@ -182,7 +182,10 @@ def read_records(study: Study, model: Model) -> Records:
     from_files = {name: None for name, values in study.conditions.items() if values is None}
     given = {name: values for name, values in study.conditions.items() if values is not None}
     files = (study.estimation, study.validation, study.test)
-    estimation, *judges = (read_files(study, each, model, conditions=from_files) for each in files)
+    estimation = read_files(study, study.estimation, model, conditions=from_files)
+    # What was found of an input in the records that are fitted holds of those that judge.
+    hold = estimation[0].courses if study.hold == "auto" and estimation else study.hold
+    judges = [read_files(study, each, model, conditions=from_files, hold=hold) for each in files[1:]]
     refuse_repeated(estimation)
     records = _with_conditions(given, study, Records(estimation, *(mark_fitted(each, estimation) for each in judges)))
     if not study.split_holes:

@@ -13,8 +13,10 @@ from scipy.signal import butter, lfilter
 import greybox as gb
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
 from greybox.base import DataError
+from greybox.data.experiment import collect_record_findings
 from greybox.data.findings import RecordCode
 from greybox.data.input_course import CourseEvidence, inspect_course
+from greybox.data.read import read_experiments
 from greybox.simulation.simulate import read_inputs
 
 ROWS = 800
@@ -136,3 +138,35 @@ def test_what_was_decided_is_said_and_what_is_told_is_kept() -> None:
         record = Experiment.from_arrays(data["time"], inputs, {"T": data["T"]}, hold=told)  # type: ignore[arg-type]
         assert record.courses["Ta"] == ("first" if told == "first" else "zero")
         assert RecordCode.INPUT_TAKEN_STRAIGHT not in {f.code for f in record.findings}
+
+
+def _measured(rows, noise, seed):
+    """A lag of 0.5 s and gain 2 behind a sine of 1.1 rad/s, its steady answer in closed form, the input read with noise."""
+    time, rng = 0.05 * np.arange(rows), np.random.default_rng(seed)
+    answer = 2 * np.sin(1.1 * time - np.arctan(0.55)) / np.hypot(1, 0.55)
+    return np.column_stack([time, np.sin(1.1 * time) + noise * rng.normal(size=rows), answer])
+
+
+@pytest.mark.parametrize(("told", "courses"), [({}, {"first"}), ({"hold": "zero"}, {"zero"})])
+def test_records_that_are_read_together_hold_an_input_in_one_way(tmp_path, told, courses):
+    """The second is too noisy for its rows to show what the first shows."""
+    model = Model(
+        "lag",
+        [State("x", "V")],
+        [Input("u", "V")],
+        [Output("x", "V")],
+        [Parameter("tau", "s", 0.5, (0.01, 10.0))],
+        lambda x, u, p: [Balance("lag", "V", p.tau, "x", drive=2 * u.u, decay=-x.x)],
+    )
+    for k, (rows, noise) in enumerate([(400, 0.02), (80, 0.3)]):
+        np.savetxt(
+            tmp_path / f"r{k}.csv", _measured(rows, noise, k), delimiter=",", header="time [s],u [V],x [V]", comments=""
+        )
+    files = [tmp_path / "r0.csv", tmp_path / "r1.csv"]
+    alone = [gb.read_csv(file, model) for file in files]
+    assert [r.courses["u"] for r in alone] == ["first", "zero"]
+    assert RecordCode.INPUT_COURSES_DIFFER in [f.code for f in collect_record_findings(alone)]
+    together = read_experiments(files, model, **told)
+    assert {r.courses["u"] for r in together} == courses
+    codes = [f.code for f in collect_record_findings(together)]
+    assert codes.count(RecordCode.INPUT_COURSE_SHARED) == (not told) and RecordCode.INPUT_COURSES_DIFFER not in codes

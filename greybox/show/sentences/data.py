@@ -13,7 +13,7 @@ from greybox.base.texts import to_word
 from greybox.data.findings import RecordCode
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.show.sentences import register, renders, sentences
-from greybox.show.sentences.wording import count_noun, fill_in, join_names
+from greybox.show.sentences.wording import COURSES, count_noun, fill_in, join_names
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
@@ -155,6 +155,14 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.INPUT_TAKEN_STRAIGHT: "input {subject} is smooth and carries the noise of a sensor, as what is measured does and a"
     " computer's output does not: it is taken as straight between its rows; if it is held tell so with hold='zero' (shell: --interpolate"
     " {subject}=zero)",
+    RecordCode.INPUT_COURSE_SHARED: lambda f: (
+        f"input {f.subject} is taken as {COURSES[f.values['course']]}, in all of these records alike, as most of their rows show; if it is"
+        f" not so tell it (shell: --interpolate {f.subject}=zero or =first)"
+    ),
+    RecordCode.INPUT_COURSES_DIFFER: lambda f: (
+        f"input {f.subject} is {join_names([COURSES[c] for c in f.values['courses']])} from record to record; one signal moves in one way:"
+        " tell it of all of them (hold=...)"
+    ),
     RecordCode.TIME_ROUNDED: "time is rounded: steps from {shortest:.6g} to {longest:.6g} s differ by at most one unit of the last digit;"
     " a uniform step of {sampling_time:.6g} s is assumed",
     RecordCode.TIME_GAP: lambda f: (

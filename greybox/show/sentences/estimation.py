@@ -201,17 +201,10 @@ def _write_narrowed(finding: Finding) -> str:
     return f"{finding.subject} {where} as exactly known there; with {'them' if several else 'it'} free, {' and '.join(parts)}"
 
 
-_COURSES = {
-    "zero": "held between its rows",
-    "first": "straight between its rows",
-    "mean": "as the mean over the interval before its row",
-}
-
-
 @writes(EstimationCode.INPUT_COURSE_CONTRADICTED)
 def _write_course_contradicted(finding: Finding) -> str:
     changes = f", with {_list_changes(finding)}" if finding.values["changes"] else ""
-    which = f"input {_list_courses(finding)}" if _courses(finding) else f"every value {_COURSES['mean']}"
+    which = f"input {_list_courses(finding)}" if _courses(finding) else f"every value {wording.COURSES['mean']}"
     return f"the records fit better with {which}{changes}: {_course_remedy(finding, 'fit anew')}"
 
 
@@ -231,7 +224,7 @@ def _list_courses(finding: Finding) -> str:
     by_course: dict[str, list[str]] = {}
     for name, course in _courses(finding).items():
         by_course.setdefault(course, []).append(name)
-    return ", and ".join(f"{' and '.join(names)} {_COURSES[course]}" for course, names in by_course.items())
+    return ", and ".join(f"{' and '.join(names)} {wording.COURSES[course]}" for course, names in by_course.items())
 
 
 def _courses(finding: Finding) -> dict[str, str]:

@@ -225,3 +225,12 @@ MOST_PERCENT = 99.0
 NOISE_REACH = 5.0
 # A change whose 95 % interval reaches further than so many times the value is not determined: its figures say nothing.
 CHANGE_REACH = 10.0
+
+
+COURSES = {
+    "zero": "held between its rows",
+    "first": "straight between its rows",
+    "band-limited": "without content above half the rate between its rows",
+    "mean": "as the mean over the interval before its row",
+}
+"""How an input moves between its rows."""

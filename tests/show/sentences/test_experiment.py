@@ -171,6 +171,18 @@ GOLDEN = {
         "there is a row only when output 'w' has changed by 15.02: when an input changed between two rows is not recorded, and constants of"
         " fast motions take this up; log every change of the inputs too, or at a fixed rate",
     ),
+    RecordCode.INPUT_COURSE_SHARED: (
+        "u",
+        {"course": "first"},
+        "input u is taken as straight between its rows, in all of these records alike, as most of their rows show; if it is not so tell"
+        " it (shell: --interpolate u=zero or =first)",
+    ),
+    RecordCode.INPUT_COURSES_DIFFER: (
+        "u",
+        {"courses": ["first", "zero"]},
+        "input u is straight between its rows and held between its rows from record to record; one signal moves in one way: tell it of"
+        " all of them (hold=...)",
+    ),
     RecordCode.INPUT_TAKEN_STRAIGHT: (
         "T_air",
         {},
