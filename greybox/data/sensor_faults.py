@@ -38,7 +38,9 @@ def inspect_signals(
             moves = moves[np.isfinite(moves)]
             step = find_reading_step(values) if _repeats_often(moves) else None
             if (sent := find_change_band(time, values)) is not None:
-                yield Finding(RecordCode.SENT_ON_CHANGE, subject=name, values={"band": sent.band, "held": sent.is_held})
+                # A reading that is held between its changes comes late: constants take that up, beyond their intervals.
+                severity = Severity.WARNING if sent.is_held else Severity.NOTE
+                yield Finding(RecordCode.SENT_ON_CHANGE, severity, name, {"band": sent.band, "held": sent.is_held})
             elif inputs and (least := find_least_change(time, values)):
                 yield Finding(RecordCode.ROWS_ON_CHANGE, Severity.WARNING, name, {"band": least})
             elif step is not None and np.median(moves[moves > 0]) <= COARSE_MOVE * step:

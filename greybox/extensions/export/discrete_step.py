@@ -162,7 +162,7 @@ def _try_out(model: Model, step: Step, p: np.ndarray, x0: np.ndarray, inputs: np
         if len(lost):
             raise ModelError(
                 f"{model.title}: one step of {dt:g} s by {step.label} overflows after {lost[0] * dt:g} s, where shorter steps go on;"
-                " leave out substeps, or give a smaller dt"
+                " give a smaller dt, without substeps"
             )
         return math.nan
     finer = run_step(replace(step, substeps=2 * step.substeps), p, x0, given, dt)

@@ -143,7 +143,8 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.SENT_ON_CHANGE: lambda f: (
         f"{f.values.get('kind', 'output')} {f.subject!r} is sent when it has changed by {f.values['band']:.4g}: "
         + (
-            "between two changes its last reading is repeated and off by up to so much (0.58 of it rms)"
+            "between two changes its last reading is repeated and off by up to so much (0.58 of it rms), always late: constants take"
+            " this up, beyond their intervals"
             if f.values["held"]
             else "then a reading lies half a step from what the sensor feels"
         )

@@ -183,6 +183,12 @@ GOLDEN = {
         "input u is straight between its rows and held between its rows from record to record; one signal moves in one way: tell it of"
         " all of them (hold=...)",
     ),
+    RecordCode.ROWS_OF_PAST: (
+        "",
+        {"rows": 12, "seconds": 0.6},
+        "the record begins in motion, and what its inputs were before is not told: its first 12 rows (0.6 s) only tell what reaches the"
+        " rest late; with --before INPUT=VALUE (before=) they count",
+    ),
     RecordCode.INPUT_TAKEN_STRAIGHT: (
         "T_air",
         {},
