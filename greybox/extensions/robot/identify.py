@@ -7,7 +7,7 @@ one would do as well, whether a payload explains what differs from the descripti
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -325,10 +325,6 @@ def _guess_constants(base: BaseParameters, log: JointLog, known: np.ndarray, fre
     return np.where(shows, 1 / np.where(shows, shares, 1.0), np.copysign(usual, power))
 
 
-def _usual(base: int, joints: Iterable[int]) -> list[int]:
-    return [place_column(base, i, k) for i in joints for k in range(len(USUAL))]
-
-
 def _find_physical(base: BaseParameters, sums: BlockProducts, chosen: Sequence[int], bias: np.ndarray) -> Finding:
     """The constants that bodies can have, and what they cost."""
     B, fit = len(base.names), sums.take(chosen).fit()
@@ -363,7 +359,7 @@ def _search(
     """The linearised table, the columns of the answer; axes that tell their free constant, and the others with the share of their error."""
     base, n, fastest = len(known) - 1, log.tau.shape[1], log.fastest
     joints = np.flatnonzero(log.counts.any(axis=0)).tolist()
-    chosen = [*range(base), *_usual(base, joints)]
+    chosen = [*range(base), *(place_column(base, i, k) for i in joints for k in range(len(USUAL)))]
 
     def settle(point: WorkingPoint, times: int) -> tuple[WorkingPoint, JointTable]:
         table = fill_table(log, known, gauge, point)

@@ -223,16 +223,12 @@ def _record_tables(comparison: Comparison) -> Iterator[doc.TableBlock]:
     shown = comparison.validation[:5]
     left_out = len(comparison.validation) - len(shown)
     for output in comparison.outputs if len(comparison.validation) > 1 else ():
-        rows = [[e.name, *(_best_fit(e, record, output) for record in shown)] for e in comparison.standing]
+        scores = {e.name: [e.score(output, record=record) for record in shown] for e in comparison.standing}
+        rows = [[n, *("-" if s is None else f"{s.best_fit_percent:.2f}" for s in each)] for n, each in scores.items()]
         title = f"best fit [%], {output}" + (f" ({left_out} more records in the file)" if left_out else "")
         yield doc.TableBlock(
             wording.capitalise(title), ["model", *(wording.shorten(name, 14) for name in shown)], rows, corner=title
         )
-
-
-def _best_fit(entry: ComparisonEntry, record: str, output: str) -> str:
-    score = entry.score(output, record=record)
-    return "-" if score is None else f"{score.best_fit_percent:.2f}"
 
 
 def _error(value: float) -> str:

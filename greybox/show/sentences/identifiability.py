@@ -14,11 +14,6 @@ if TYPE_CHECKING:
     from greybox.estimation.identifiability import Excitation, OpenDirection, StructuralIdentifiability
 
 
-def _describe_relation(relation: Mapping[str, Any]) -> str:
-    one, other = relation["constants"]
-    return f"{one} = {other}" if relation["equal"] else f"the ratio {one}/{other}"
-
-
 def describe_closing(closing: Mapping[str, Any]) -> str:
     """Which constants to fix, and which relations would do as well; "" where nothing is missing."""
     if not closing:
@@ -30,7 +25,8 @@ def describe_closing(closing: Mapping[str, Any]) -> str:
         text = f"fix {missing} parameters" + (f", such as {join_names(constants)}" if constants else "")
     if not closing["relations"]:
         return text
-    relations = " or ".join(map(_describe_relation, closing["relations"]))
+    known = ((*relation["constants"], relation["equal"]) for relation in closing["relations"])
+    relations = " or ".join(f"{one} = {other}" if equal else f"the ratio {one}/{other}" for one, other, equal in known)
     does = "also suffices" if missing == 1 else "replaces one of them"
     return f"{text}; knowing {relations} {does}"
 
