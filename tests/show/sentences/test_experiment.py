@@ -276,6 +276,12 @@ GOLDEN = {
         {"sampling_time": 0.5, "rows": 100},
         "resampled to every 0.5 s from 100 rows",
     ),
+    RecordCode.ROWS_OF_PAST: (
+        "",
+        {"rows": 12, "seconds": 0.3},
+        "the record begins in motion, and what its inputs were before is not told: its first 12 rows (0.3 s) only tell what reaches the"
+        " rest late; with --before INPUT=VALUE (before=) they count",
+    ),
     RecordCode.ALSO_FITTED: (
         "",
         {"record": "low.csv", "place": "rows 1 to 90 are the readings of rows 31 to 120 of low.csv"},
