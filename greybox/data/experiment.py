@@ -451,9 +451,9 @@ def collect_record_findings(experiments: Iterable[Experiment]) -> tuple[Finding,
         for n in e.inputs
     }
     differing = [
-        Finding(RecordCode.INPUT_COURSES_DIFFER, Severity.WARNING, n, {"courses": sorted(found)})
-        for n, found in courses.items()
-        if len(found) > 1
+        Finding(RecordCode.INPUT_COURSES_DIFFER, Severity.WARNING, n, {"courses": sorted(seen)})
+        for n, seen in courses.items()
+        if len(seen) > 1
     ]
     for experiment in experiments:
         for finding in experiment.findings:

@@ -406,10 +406,10 @@ def _read_runs(
     if shared := _find_shared_courses(records, hold, source.interpolation or {}):
         read_one = partial(read_one, interpolation={**(source.interpolation or {}), **shared})
         records = _collect([partial(read_one, path) for path in paths])
-        said = tuple(
+        notes = tuple(
             Finding(RecordCode.INPUT_COURSE_SHARED, subject=n, values={"course": c}) for n, c in shared.items()
         )
-        records = [record._replace(findings=(*record.findings, *said)) for record in records]
+        records = [record._replace(findings=(*record.findings, *notes)) for record in records]
     # Dated records count from one origin, the earliest of them, so that they lie to each other as they were taken.
     origin, after = find_origin({str(k): record.start for k, record in enumerate(records)})
     experiments: list[Callable[[], list[Experiment]]] = []
@@ -431,10 +431,10 @@ def _find_shared_courses(
     records: Sequence[RecordArrays], hold: Holds, interpolation: Mapping[str, Hold]
 ) -> dict[str, Hold]:
     """One course for each input that nobody told and that moves differently from record to record by their values: one signal has one."""
-    told = {**(hold if isinstance(hold, Mapping) else {}), **interpolation}
+    given = {**(hold if isinstance(hold, Mapping) else {}), **interpolation}
     common = "auto" if isinstance(hold, Mapping) else hold
     shared: dict[str, Hold] = {}
-    for name in (n for n in records[0].inputs if told.get(n, common) == "auto"):
+    for name in (n for n in records[0].inputs if given.get(n, common) == "auto"):
         columns = [record.inputs[name][np.isfinite(record.inputs[name])] for record in records]
         # A record in which it stands still shows nothing.
         moving = [column for column in columns if len(column) and np.ptp(column) > 0]
