@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.base import DataError, Finding, Severity, shorten
+from greybox.base.numerics import LARGEST_VALUE
 from greybox.data.channels import ChannelTable
 from greybox.data.columns import (
     ColumnMapping,
@@ -436,8 +437,8 @@ def _find_shared_courses(
     shared: dict[str, Hold] = {}
     for name in (n for n in records[0].inputs if given.get(n, common) == "auto"):
         columns = [record.inputs[name][np.isfinite(record.inputs[name])] for record in records]
-        # A record in which it stands still shows nothing.
-        moving = [column for column in columns if len(column) and np.ptp(column) > 0]
+        # A record in which it stands still shows nothing; one with numbers beyond all squares is refused as soon as it is made.
+        moving = [c for c in columns if len(c) and 0 < np.abs(c).max() <= LARGEST_VALUE and np.ptp(c) > 0]
         if len({choose_course(column) for column in moving}) < 2:
             continue
         votes = Counter[CourseEvidence]()

@@ -21,7 +21,7 @@ from scipy.io import savemat
 from greybox.base.errors import DataError, ModelError
 from greybox.base.units import parse_unit
 from greybox.data.policy import READING_POLICY, ReadingPolicy
-from greybox.data.read import read_csv
+from greybox.data.read import read_csv, read_experiments
 from tests.data.test_read import ANSWER, DRIVE, RIG, TIME, N, good
 
 SIGNALS = {"time": TIME, "u": DRIVE, "x": ANSWER}
@@ -271,6 +271,14 @@ def test_numbers_whose_squares_overflow_are_refused(tmp_path, value, column):
     fields[column] = value
     path.write_text("\n".join([*lines[:6], ",".join(fields), *lines[7:]]))
     refused(path, mentions="at line 7; the squares of such numbers overflow")
+
+
+def test_one_of_two_records_with_such_numbers_is_refused(tmp_path):
+    lines = good(tmp_path / "run.csv").read_text().splitlines()
+    time, _, *rest = lines[6].split(",")
+    (tmp_path / "other.csv").write_text("\n".join([*lines[:6], ",".join([time, "-1e300", *rest]), *lines[7:]]))
+    with pytest.raises(DataError, match="the squares of such numbers overflow"):
+        read_experiments([tmp_path / "run.csv", tmp_path / "other.csv"], RIG)
 
 
 def test_numbers_whose_squares_vanish_are_refused(tmp_path):
