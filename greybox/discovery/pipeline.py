@@ -21,7 +21,7 @@ import numpy as np
 from greybox.base import DataError, Finding, ModelError, Severity
 from greybox.base.values import with_code
 from greybox.data.data_frame import Frame
-from greybox.data.experiment import Experiment, collect_record_findings, name_records
+from greybox.data.experiment import Experiment, collect_record_findings, find_usual_interval, name_records
 from greybox.data.findings import RecordCode
 from greybox.data.identity import find_shared_readings, refuse_repeated
 from greybox.data.noise.growing import GrowingNoise
@@ -165,11 +165,10 @@ def discover(
         options = replace(options, loss="squares")
     model = as_model(model)
     candidates = (*(all_effects() if effects is None else effects), *beside)
-    # Every candidate sees the same rows: a delay must not be held against those of which nobody knows the input.
-    if any(isinstance(e, Effect) and e.delay and e.name not in without for e in candidates) and not (
-        options.at_rest or isinstance(model, PlantModel)
-    ):
-        learnt, judges, tests = (tuple(_begin_with_known_past(model, r) for r in rs) for rs in (learnt, judges, tests))
+    if any(isinstance(e, Effect) and e.delay and e.name not in without for e in candidates):
+        # Every candidate sees the same rows: a delay must not be held against those of which nobody knows the input.
+        delay = LONGEST_DELAY * find_usual_interval(learnt)
+        learnt, judges, tests = (begin_with_known_past(model, rs, options, delay) for rs in (learnt, judges, tests))
     validation_set = ValidationSet(judges, skip, beginning)
     growing = [name for name, given in (noise or {}).items() if isinstance(given, GrowingNoise)]
     if growing:
@@ -297,11 +296,6 @@ def discover(
             failures=tuple(problem.failures.entries.values()),
             seconds=time.perf_counter() - began,
         )
-
-
-def _begin_with_known_past(model: Model, record: Experiment) -> Experiment:
-    """``record`` from the row on whose past it holds as far back as a delay is looked for."""
-    return begin_with_known_past(model, record, LONGEST_DELAY * float(np.median(record.intervals)))
 
 
 # Misfit of the plain model from its start values over that of the one in the answer, from which the first was in another optimum.

@@ -63,6 +63,7 @@ from greybox.estimation.transcription.problem import (
     EstimationProblem,
     FitProgressCallback,
     TranscriptionReason,
+    begin_with_known_past,
     make_strategy,
     prepare_problem,
 )
@@ -193,6 +194,7 @@ def fit(
     model = bound_delays(model, period)
     # Refused before the work is done, and not after it.
     judges = mark_fitted(to_experiments(validation), experiments) if validation else ()
+    experiments = begin_with_known_past(model, to_experiments(experiments), options)
     optimum: Optimum
     starts: tuple[result_parts.StartResult, ...] = ()
     notices: tuple[Finding, ...] = ()

@@ -28,11 +28,12 @@ from greybox.estimation.optimum import SimulationOptimum
 from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
-from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem, begin_with_known_past, prepare_problem
 from greybox.model import Model
 from greybox.model.effects.scales import list_effect_values
 from greybox.model.equations import identify
 from greybox.simulation.plant import Plant, as_model
+from greybox.simulation.records import to_experiments
 
 
 @dataclass
@@ -243,6 +244,7 @@ def multistart(
     group, validation, quiet = (as_experiments(records, model) for records in (experiments, validation, quiet))
     names = (per_experiment,) if isinstance(per_experiment, str) else per_experiment
     options = replace(options, per_experiment=(*options.per_experiment, *names))
+    group = begin_with_known_past(model, to_experiments(group), options)
     problem = prepare_problem(model, group, noise, options, quiet=quiet)  # once; refuses here what no start can use
     known_noise = problem.noise
     begins = [

@@ -10,17 +10,25 @@ import numpy as np
 from greybox.base import DataError, decompose_symmetric
 from greybox.data.experiment import Experiment
 from greybox.data.noise.growing import GrowingNoise
+from greybox.data.read import as_experiments
 from greybox.estimation import errors, noise_loop, optimum, result_parts
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions, Hessian, Transcription, resolve_options
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import EstimationProblem, Solution, guess_initial_states, prepare_problem
+from greybox.estimation.transcription.problem import (
+    EstimationProblem,
+    Solution,
+    begin_with_known_past,
+    guess_initial_states,
+    prepare_problem,
+)
 from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
 from greybox.model import Model
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.plant import Plant, PlantModel, as_model
+from greybox.simulation.records import to_experiments
 
 # Fewest rows from which an initial state is estimated.
 FIRST_ROWS = 50
@@ -180,6 +188,7 @@ def validate(
     # Only the initial states are left to estimate.
     model = as_model(model)
     frozen = model.fix(*model.values)
+    experiments = begin_with_known_past(frozen, to_experiments(as_experiments(experiments, frozen)), options)
     problem = prepare_problem(frozen, experiments, noise, options)
     shortest = min(len(r.u) for r in problem.records)
     if skip < 0 or skip >= shortest:

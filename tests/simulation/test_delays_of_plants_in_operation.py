@@ -7,6 +7,7 @@ import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.data.findings import RecordCode
 from greybox.estimation.findings import EstimationCode
+from greybox.estimation.predictor import predictor
 from greybox.simulation.simulate import read_inputs
 
 STEP, DELAY, TAU = 0.02, 0.13, 0.2
@@ -190,3 +191,13 @@ def test_an_input_that_began_with_its_record_is_that_everywhere():
     run = gb.simulate(found.model, trace.experiment, initial=trace.initial_state)
     assert run.outputs["x"] == pytest.approx(trace.simulated["x"], abs=1e-12)
     assert trace.simulated["x"] == pytest.approx(exact(u, d, 0.0, 0.0), abs=0.01)
+
+
+def test_a_prediction_has_all_rows_of_a_record_in_motion():
+    """What is fitted and judged leaves the first rows out; what is predicted is of each row, from the first state that is given."""
+    record = gb.Experiment("run", *drive_in_motion())
+    found = gb.fit(lag(20.0), record, noise={"x": 0.01})
+    begun = predictor(found).simulate(record, initial={"x": 16.0})["x"]
+    assert len(begun) == len(gb.predict(found, record)["x"]) == record.rows
+    assert begun[0] == pytest.approx(16.0)
+    assert gb.validate(found, record).misfit["x"].samples == record.rows - 7  # 0.13 s reach into seven rows

@@ -223,11 +223,8 @@ def prepare_problem(
     group = to_experiments(as_experiments(experiments, model))
     for e in group:
         model.check_measured(f"experiment {e.name!r}", e.outputs)
-    if not isinstance(model, PlantModel) and model.system.delays:
-        reach = sum(d.longest for d in model.system.delays)
-        group = tuple(
-            _begin_at_rest(model, e) if options.at_rest else begin_with_known_past(model, e, reach) for e in group
-        )
+    if options.at_rest and not isinstance(model, PlantModel) and model.system.delays:
+        group = tuple(_begin_at_rest(model, e) for e in group)
     arrays = [to_record(model, e) for e in group]  # before the noise: it refuses records that do not go with the model
     if not isinstance(noise, NoiseModel):
         noise = estimate_noise(
@@ -334,12 +331,32 @@ MOVES_STANDING = 6.0
 MOST_PAST = 0.1
 
 
-def begin_with_known_past(model: Model, experiment: Experiment, reach: float) -> Experiment:
-    """``experiment`` from the row on whose past, ``reach`` seconds of it, it holds itself, where its first rows show no rest.
+def begin_with_known_past(
+    model: Model, experiments: Sequence[Experiment], options: FitOptions, delay: float = 0.0
+) -> tuple[Experiment, ...]:
+    """Records, each from the row on whose past it holds itself as far back as an input may act late, unless its first rows show rest.
 
     Of a plant in motion nobody can say what its inputs were before; an input that acts late brings that into the first rows. What is told
     of it stands (`Experiment.before`), and at rest each input was what it is in the first row.
+
+    Parameters
+    ----------
+    model
+        What will be fitted or judged.
+    experiments
+        The records.
+    options
+        Whether they begin at rest.
+    delay
+        The longest delay that will be added to the model, in s.
     """
+    if isinstance(model, PlantModel) or options.at_rest:
+        return tuple(experiments)
+    reach = max(delay, sum(d.longest for d in model.system.delays))
+    return tuple(_begin_with_known_past(model, e, reach) for e in experiments)
+
+
+def _begin_with_known_past(model: Model, experiment: Experiment, reach: float) -> Experiment:
     inputs = [experiment.inputs[i.name] for i in model.inputs if i.name in experiment.inputs]
     rows = math.ceil(reach / float(np.median(experiment.intervals)) - TIME_ROUNDING)
     if len(experiment.before_ages) or not inputs or not 0 < rows <= MOST_PAST * experiment.rows:
