@@ -95,18 +95,21 @@ def compare(study: Study) -> Answer:
         )
     journal.unlink(missing_ok=True)
     by_title = {fit.model.title: fit for fit, _ in fits}
-    return _answer(result, folder, records, validation, by_title, _next(study, result, fits))
+    added = dict(zip((fit.model.title for fit, _ in fits), ((), *extensions), strict=True))
+    return _answer(result, folder, records, validation, by_title, _next(study, result, added))
 
 
-def _next(study: Study, result: Comparison, fits: Sequence[tuple[Fit, float]]) -> NextCommand:
-    """The best physical model is fitted for itself; where a black box is better, what it lacks is looked for."""
+def _next(study: Study, result: Comparison, added: Mapping[str, tuple[str, ...]]) -> NextCommand:
+    """The best physical model is fitted for itself; where a black box is better, what it lacks is looked for.
+
+    ``added``: title of each physical model -> the effects that this command has added to it.
+    """
     from greybox.show.documents.comparison import best_model
 
     best = best_model(result)
-    chosen = next((fit.model for fit, _ in fits if best is not None and fit.model.title == best.name), None)
-    if chosen is None:
+    if best is None or best.name not in added:
         return study.but(candidates=()).then("discover", study.model, *study.estimation)
-    effects = tuple(e.name for e in chosen.effects)
+    effects = (*study.effects, *added[best.name])
     return study.but(effects=effects).then("fit", study.model, *study.estimation)
 
 

@@ -14,7 +14,7 @@ from greybox.base import Finding
 from greybox.data.findings import RecordCode
 from greybox.discovery.result import Discovery
 from greybox.estimation import Fit
-from greybox.shell import command_line
+from greybox.shell import command_line, compare
 from greybox.shell.commands import COMMANDS
 from greybox.shell.discover import _next
 from greybox.shell.fit import next_command
@@ -185,3 +185,18 @@ def test_a_fit_after_a_simulation_moves_its_inputs_alike() -> None:
 def test_every_option_of_a_fit_is_in_a_discovery_or_is_none_of_a_search() -> None:
     none_of_a_search = {"bootstrap", "per_experiment", "predict", "process_noise", "profiles", "seed", "starts"}
     assert set(list_options("fit")) - set(list_options("discover")) == none_of_a_search
+
+
+@pytest.mark.parametrize(
+    ("best", "typed"),
+    [
+        ("rig", "greybox fit rig.py a.csv --effect input_offset"),
+        ("rig + cogging", "greybox fit rig.py a.csv --effect input_offset --effect cogging"),
+        ("arx", "greybox discover rig.py a.csv --effect input_offset"),
+    ],
+)
+def test_after_a_comparison_a_fit_adds_what_was_added_and_not_what_the_model_has(monkeypatch, best, typed):
+    monkeypatch.setattr("greybox.show.documents.comparison.best_model", lambda _: SimpleNamespace(name=best))
+    study = parse("compare", [*FILES, "--effect", "input_offset", "--effects", "cogging"])
+    added = {"rig": (), "rig + cogging": ("cogging",)}
+    assert compare._next(study, cast("Any", None), added).spell(COMMANDS).startswith(typed)
