@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from multiprocessing.connection import Connection, wait
@@ -90,16 +90,24 @@ class _Pickler(cloudpickle.Pickler):
 
 def _local_packages() -> list[ModuleType]:
     """Top packages of the user's project (models/, fits/, a script): their functions travel by value."""
-    standard = tuple({os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib")})
     result = []
     for name, module in list(sys.modules.items()):
         if "." in name or name in ("__main__", "__mp_main__", "greybox"):
             continue
         file = getattr(module, "__file__", None) or next(iter(getattr(module, "__path__", ())), None)
-        installed = file is None or "site-packages" in file or "dist-packages" in file
-        if file and not installed and not os.path.realpath(file).startswith(standard):
+        if file and _is_of_project(file):
             result.append(module)
     return result
+
+
+# What a run is called with is packed at each: where hundreds of modules lie is found once.
+@cache
+def _is_of_project(file: str) -> bool:
+    """Whether a module in ``file`` is neither installed nor Python's own."""
+    if "site-packages" in file or "dist-packages" in file:
+        return False
+    standard = tuple({os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib")})
+    return not os.path.realpath(file).startswith(standard)
 
 
 # Number of the Linux call that asks for a signal when the parent ends.
