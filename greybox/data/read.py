@@ -404,7 +404,7 @@ def _read_runs(
     requested = request_conditions(model, [name for name in conditions or {} if name not in given])
     read_one = partial(read_arrays, model=model, conditions=requested, hold=hold, **source._asdict())
     records = _collect([partial(read_one, path) for path in paths])
-    if shared := _find_shared_courses(records, hold, source.interpolation or {}):
+    if len(records) > 1 and (shared := _find_shared_courses(records, hold, source.interpolation or {})):
         read_one = partial(read_one, interpolation={**(source.interpolation or {}), **shared})
         records = _collect([partial(read_one, path) for path in paths])
         notes = tuple(
