@@ -421,11 +421,14 @@ _CENTURY = 20
 
 def from_digits(numbers: np.ndarray) -> Stamps | None:
     """Stamps from dates (N,) that are each one number, ``20240331``, ``202403310130`` or ``20240331013000``; None where one is none."""
-    texts = [f"{number:.0f}" for number in numbers if np.isfinite(number)]
-    lengths, first = {*map(len, texts)}, numbers[np.isfinite(numbers)][:1]
-    is_whole = len(texts) >= LEAST_DATES and len(lengths) == 1 and lengths <= {8, 12, 14}
-    if not is_whole or first[0] // 10 ** (lengths.pop() - 2) != _CENTURY or np.any(numbers % 1 > 0):
+    known = numbers[np.isfinite(numbers)]
+    # Looked at as numbers first: of a long record most columns are no dates, and texts are dear.
+    if len(known) < LEAST_DATES or np.any(known % 1 > 0):
         return None
+    digits = next((n for n in (8, 12, 14) if known.min() >= 10 ** (n - 1) and known.max() < 10**n), 0)
+    if not digits or known[0] // 10 ** (digits - 2) != _CENTURY:
+        return None
+    texts = [f"{number:.0f}" for number in known]
     reader = StampReader()
     written = iter([f"{text[:8]}T{text[8:] or '00:00'}" for text in texts])
     wrong = reader.add([next(written) if np.isfinite(number) else None for number in numbers])
