@@ -1,5 +1,6 @@
 """Reading records: the same arrays whatever the file looks like, and one clear message for a file that is not right."""
 
+import csv
 import json
 import re
 import string
@@ -769,18 +770,23 @@ def test_the_problems_of_several_files_come_in_one_message(tmp_path):
 
 
 @pytest.mark.rest
-def test_reads_65_062_rows_fast(tmp_path):
+def test_65_062_rows_take_about_twice_as_long_as_a_loop_over_their_fields(tmp_path):
     rows = 65_062
     noise = np.random.default_rng(3).normal(size=(2, rows))
     path = write(tmp_path / "run.csv", ["t", "u [V]", "x [um]"], [np.round(np.arange(rows) * 0.0016384, 7), *noise])
     read_csv(good(tmp_path / "warm.csv"), RIG)  # imports
     seconds = []
-    for _ in range(3):
-        start = clock.process_time()  # other processes do not count
+    for _ in range(3):  # in turn, and of processor time: what else the machine does slows both
+        began = clock.process_time()
         experiment = read_csv(path, RIG)
-        seconds.append(clock.process_time() - start)
+        read = clock.process_time()
+        with path.open(encoding="utf-8", newline="") as file:
+            fields = [[float(field) for field in line] for line in list(csv.reader(file))[1:]]
+        seconds.append((read - began, clock.process_time() - read))
     np.testing.assert_array_equal(experiment.inputs["u"], noise[0])
-    assert min(seconds) < 0.3
+    np.testing.assert_array_equal(np.transpose(fields)[1], noise[0])
+    ours, loop = np.min(seconds, axis=0)
+    assert ours < 2.25 * loop  # with units, time axis and gaps looked at
 
 
 @pytest.mark.parametrize(
