@@ -40,6 +40,7 @@ from greybox.discovery.findings import DiscoveryCode
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.validate import validate
 from greybox.model.effects.catalogue import AT
+from greybox.model.parts import read_parts
 from greybox.shell.project import load_model_file
 from greybox.simulation.kernel.c_compiler import find_compiler
 
@@ -112,6 +113,7 @@ def study(case: Case, root: Path, limit: float, is_told: bool = False) -> dict[s
             }
             for e in found.effects
         ],
+        "question": _judge_question(rig, model, found),
         "errors": {
             who: {where: errors_on(fit, record) for where, record in (("choose", choose), ("judge", judge))}
             for who, fit in (("plain", found.base), ("answer", found.extended))
@@ -127,6 +129,21 @@ def _judge_name(rig: Rig, name: str) -> bool | None:
     return judge_claim(
         rig, {"depth": Depth.NAME, "name": name, "site": " or ".join(s for f in rig.facts for s in f.sites)}
     )
+
+
+def _judge_question(rig: Rig, model: gb.Model, found: gb.Discovery) -> dict[str, Any] | None:
+    """The part that an answer asks for, and whether a name is right to which the answer leads of one who knows the rig; None without one.
+
+    ``right`` is None of a part that nobody has spoken of.
+    """
+    asked = next((f for f in found.next_steps if f.code is DiscoveryCode.ASK_PART), None)
+    if asked is None:
+        return None
+    known = read_parts(model.with_parts(has=rig.has, lacks=rig.lacks))
+    if known.is_open(asked.subject):
+        return {"part": asked.subject, "names": [], "right": None}
+    names = asked.values["yes" if asked.subject in known.has else "no"].split(" + ")
+    return {"part": asked.subject, "names": names, "right": any(_judge_name(rig, name) for name in names)}
 
 
 def errors_on(fit: gb.Fit, record: gb.Experiment) -> dict[str, float]:
@@ -261,6 +278,7 @@ def write_page(lines: Sequence[Mapping[str, Any]], note: str = "") -> str:
     lacking = [line for line in lines if RIGS[line["rig"]].facts]
     null = [line for line in lines if not RIGS[line["rig"]].facts]
     certain = [c for line in lines for c in said(line) if c["grade"] == "established" and c["right"] is not None]
+    asked = [line["question"] for line in listed if line.get("question")]
     totals = [
         ["right name first, where the catalogue holds it", count(first_name(line) for line in listed)],
         ["right family first, where the catalogue holds it", count(first_family(line) for line in listed)],
@@ -279,6 +297,10 @@ def write_page(lines: Sequence[Mapping[str, Any]], note: str = "") -> str:
         [
             "round trips with the same error within 1 %, or told",
             f"{sum(is_same(line['round_trip']) for line in lines)} of {len(lines)}",
+        ],
+        [
+            "questions about a part whose answer leads to a right name",
+            count(q for q in asked if q["right"] is not None),
         ],
         ["searches that ended at their time limit", f"{sum(line['out_of_time'] for line in lines)} of {len(lines)}"],
     ]

@@ -192,24 +192,23 @@ class _Order:
         return Finding(DiscoveryCode.USUAL_FIRST, subject=" + ".join(candidates[chosen].names), values=values)
 
     def ask(self, equal: Sequence[int], parts: RigParts) -> Finding | None:
-        """The question whose two answers lead to the likeliest two names."""
-        # Of parts without which a set is impossible; what only makes one likelier is not worth a person's time.
-        spoken_of = {
-            name
-            for k in equal
-            for bound in self.draws.sets[k].candidate.model.bound_effects
-            for name in bound.effect.needs
-        }
+        """The question whose two answers lead to the likeliest two names; None where no part that is open turns what comes first."""
+        effects = [bound.effect for k in equal for bound in self.draws.sets[k].candidate.model.bound_effects]
+        # First of parts without which a set is impossible, then of those that make one likelier.
+        needed, helpful = {name for e in effects for name in e.needs}, {name for e in effects for name in e.occurs_with}
+        return self._ask_of(needed, equal, parts) or self._ask_of(helpful - needed, equal, parts)
+
+    def _ask_of(self, names: Collection[str], equal: Sequence[int], parts: RigParts) -> Finding | None:
         asked: list[tuple[float, str, int, int]] = []
-        for part in (p.name for p in PARTS if p.name in spoken_of and parts.is_open(p.name)):
+        for part in (p.name for p in PARTS if p.name in names and parts.is_open(p.name)):
             answers = [read_parts(self.plain.with_parts(**{key: [part]})) for key in ("has", "lacks")]
-            choices = [self.choose(equal, each) for each in answers]
-            if choices[0] is None or choices[1] is None or choices[0] == choices[1]:
+            yes, no = (self.choose(equal, each) for each in answers)
+            if yes is None or no is None or yes == no:
                 continue
-            weight = sum(self._weigh(k, each) for k, each in zip(choices, answers, strict=True) if k is not None)
-            asked.append((weight, part, choices[0], choices[1]))
+            weight = self._weigh(yes, answers[0]) + self._weigh(no, answers[1])
+            asked.append((weight, part, yes, no))
         if not asked:
             return None
         _, part, yes, no = max(asked, key=lambda each: each[0])
-        names = [" + ".join(self.draws.sets[k].candidate.names) for k in (yes, no)]
-        return Finding(DiscoveryCode.ASK_PART, subject=part, values={"yes": names[0], "no": names[1]})
+        values = {key: " + ".join(self.draws.sets[k].candidate.names) for key, k in (("yes", yes), ("no", no))}
+        return Finding(DiscoveryCode.ASK_PART, subject=part, values=values)

@@ -168,6 +168,14 @@ def test_the_part_on_which_the_name_hangs_is_asked():
     assert found.question.values == {"yes": "coulomb_friction", "no": "quadratic_damping"}
 
 
+def test_a_part_that_only_makes_a_name_likelier_is_asked_where_no_other_decides():
+    plain = rotor()
+    draws = table(plain, input_offset=0.92, drive_lag=0.90)
+    question = prefer(plain, draws, "input_offset").question
+    assert (question.code, question.subject) == (Code.ASK_PART, "actuator")
+    assert question.values == {"yes": "drive_lag", "no": "input_offset"}
+
+
 def test_what_is_told_is_not_asked():
     plain = falling_ball().with_parts(has=["fluid"], lacks=["contact", "analogue"])
     draws = table(plain, quadratic_damping=0.90)
