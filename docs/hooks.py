@@ -152,13 +152,14 @@ def _draw(result: Any) -> bytes:
 
 
 def list_studies(names: str, *, pictures: bool = True) -> str:
-    """Pictures, titles and first sentences of the studies with these names."""
+    """Titles of the studies with these names, with their pictures and first sentences unless `pictures` is false."""
     rows = []
     for name in names.split():
         title, sentence = (FOLDER / "gallery" / f"{name}.md").read_text(encoding="utf-8").split("\n\n")[:2]
         link = f"gallery/{name}.md"
         picture = f"[![](gallery/{name}.png)]({link}) " if pictures else ""
-        rows.append(f"- {picture}**[{title.removeprefix('# ')}]({link})** {sentence}")
+        told = f" {sentence}" if pictures else ""
+        rows.append(f"- {picture}**[{title.removeprefix('# ')}]({link})**{told}")
     if not pictures:
         return "\n".join(rows)
     return "\n".join(['<div class="gallery" markdown>', "", *rows, "", "</div>"])
@@ -250,19 +251,18 @@ def commands() -> str:
 
 
 def study_fields() -> str:
-    """Each place in a study file with the option that does the same, and the commands that use it."""
+    """By the commands that use them: each place in a study file with the option that does the same."""
     from greybox.shell.commands import COMMANDS
     from greybox.shell.study_file import study_commands, users_of
 
     readers = study_commands(COMMANDS)
     options = {option.place: option for command in readers.values() for option in command.in_study().values()}
-    rows = ["| In the file | Option | Used by |", "| --- | --- | --- |"]
+    places: dict[tuple[str, ...], list[str]] = {}
     for option in options.values():
-        place = f"`{option.label}`" if option.key else f"`[{option.table}]`, a line for each name"
-        users = users_of(option, COMMANDS)
+        place = f"`{option.label}`" if option.key else f"`[{option.table}]`"
         typed = f"`{option.flag}`" if option.flags else option.usage
-        rows.append(f"| {place} | {typed} | {'all' if len(users) == len(readers) else ', '.join(users)} |")
-    return "\n".join(rows)
+        places.setdefault(tuple(users_of(option, COMMANDS)), []).append(f"{place} {typed}")
+    return "\n".join(f"- *{', '.join(users)}*: {', '.join(named)}" for users, named in places.items())
 
 
 def result_files() -> str:
@@ -318,8 +318,10 @@ def result_files() -> str:
 def modules() -> str:
     """A table a package: each module with the first sentence of its docstring, read without importing it."""
     folder = FOLDER.parent / "greybox"
-    rows = re.findall(r"^\| (`[^|]+) \|", (FOLDER / "architecture.md").read_text(encoding="utf-8"), re.MULTILINE)
-    order = [name for row in rows for name in re.findall(r"`(\w+)`", row) if (folder / name).is_dir()]
+    house = (FOLDER / "architecture.md").read_text(encoding="utf-8").split("```text\n")[1].partition("```")[0]
+    # From the bottom of the drawing up, as imports go.
+    names = [name for line in reversed(house.splitlines()) for name in re.findall(r"\b(\w+)/", line)]
+    order = [name for name in dict.fromkeys(names) if (folder / name / "__init__.py").is_file()]
     return "\n".join(line for package in order for line in _module_table(folder / package))
 
 
@@ -371,13 +373,14 @@ several sites (bodies, inputs, outputs), the name alone means the first, and `NA
 [your own](own_effect.md).
 
 In equations `x` and `v` are displacement and velocity of a body, `u` is the input and `y` the output at the site. Units in braces are
-those of the model: `{force}` is that of its balance.
+those of the model: `{force}` is that of its balance. Behind each equation stand the [parts](#parts-of-a-rig-and-what-is-usual) that a rig must
+have and how usual the effect is, on rigs in general and with certain parts; below, the experiment that tells it from its rivals, and the source.
 """
 
 PARTS_HEAD = """
 ## Parts of a rig, and what is usual
 
-Records alone cannot refuse an effect with memory: it follows whatever is left. Knowledge of the rig can. A model says what the rig has
+Records alone cannot refuse an effect with memory: it follows whatever is left. A model says what the rig has
 in one line, `Model(..., has=("gear", "fluid"), lacks=("spring",))`, a study file as `has` and `lacks`, the command line as
 `--has gear --lacks spring`. Effects whose parts the rig lacks are not tried; what nobody has said is possible. Some follows from the
 model: without an input there is no motor, and a body that nothing drives or holds hangs on no spring. What is said counts before what
@@ -385,8 +388,7 @@ follows. A model that lists its `candidates` has said what may hide; only parts 
 
 The classes below ({classes}) are a judgement on the counts of 109
 published, shipped or fitted models of rigs, good to a factor of two: which share of the rigs with the part lacks the effect in its
-plain model, at one place. They order what does equally well on the records, and never make a name
-more certain. An effect of your own counts as common.
+plain model, at one place. They [order](how_it_works.md#which-effect-is-missing) what does equally well on the records. An effect of your own counts as common.
 
 """
 
@@ -401,10 +403,7 @@ Input("Ta", "K", role="ambient_temperature")
 Parameter("Ra", "ohm", 8.0, role="resistance")
 ```
 
-Most of it goes without: a balance in N or N m of a state in m/s or rad/s is that of a body, the state whose rate is this velocity its
-displacement; a balance in V of a state in A is that of a current, and so on; an input without a role is a drive. The only temperature
-among the inputs and parameters of a heat balance is the ambient one, the only constant in ohm in the balance of a current its resistance.
-
+Most of it goes without, by the units, as the table says.
 `greybox check MODEL` shows the role of each signal, the effects that find a place, and what would open the others; `greybox effects
 MODEL` lists the same effect by effect. Several signals may have one role: each body has its own velocity, each tank its own level. Where
 an effect asks for a role and its site does not tell which is meant, it is the first.
@@ -427,27 +426,30 @@ def write_catalogue_page(entries: Sequence[Any]) -> str:
     from greybox.model.sites import NEEDED
     from greybox.show.sentences.model import write_plain_unit
 
-    at_site: dict[str, list[str]] = {}
+    at_site: dict[str, list[Any]] = {}
     for e in entries:
-        at_site.setdefault(e.site, []).append(e.name)
-    lines = [CATALOGUE_HEAD, *(f"- {site}: {_names(names, ', ')}" for site, names in at_site.items())]
+        at_site.setdefault(e.site, []).append(e)
+    lines = [CATALOGUE_HEAD.rstrip()]
     classes = ", ".join(f"{kind} {kind.probability:g}" for kind in Occurrence)
     lines += [PARTS_HEAD.format(classes=classes) + "| part | what it is |", "|---|---|"]
     lines += [f"| `{p.name}` | {p.meaning} |" for p in PARTS]
-    for e in entries:
-        needed = NEEDED.get(e.site, f"the balance `{e.site}`")
-        parts = f", of a rig with {' or '.join(f'`{name}`' for name in e.needs)}" if e.needs else ""
-        usual = ", ".join([e.occurs, *(f"with `{name}` {kind}" for name, kind in e.occurs_with.items())])
-        lines += ["", f"## {e.name}", "", f"`{e.equation}`", "", f"Needs {needed}{parts}; {usual}.", ""]
-        lines += [f"- `{q.name}` [{write_plain_unit(q.unit)}]: {q.description}" for q in e.parameters]
-        lines += [""] if e.parameters else []
-        if e.parents:
-            lines += [f"Contains {_names(e.parents)}.", ""]
-        if e.approaches:
-            lines += [f"Approaches {_names(e.approaches)} at the end of its range.", ""]
-        if e.stands_for:
-            lines += [f"Says the same as {_names(e.stands_for, ' with ')}, and is no candidate where these are.", ""]
-        lines += [f"Tell it apart: {e.tells_apart}", "", f"Source: {e.source}."]
+    told: dict[str, str] = {}  # what tells effects apart, with the first that it is said of
+    for site, at in at_site.items():
+        lines += ["", f"## At {site}", "", f"Needs {NEEDED.get(site, f'the balance `{site}`')}."]
+        for e in at:
+            parts = f"{' or '.join(f'`{name}`' for name in e.needs)}; " if e.needs else ""
+            usual = ", ".join([e.occurs, *(f"`{name}` {kind}" for name, kind in e.occurs_with.items())])
+            lines += ["", f"### {e.name}", "", f"`{e.equation}` ({parts}{usual})", ""]
+            lines += [f"- `{q.name}` [{write_plain_unit(q.unit)}]: {q.description}" for q in e.parameters]
+            lines += [""] if e.parameters else []
+            if e.parents:
+                lines += [f"Contains {_names(e.parents)}.", ""]
+            if e.approaches:
+                lines += [f"Approaches {_names(e.approaches)} at the end of its range.", ""]
+            if e.stands_for:
+                lines += [f"Says the same as {_names(e.stands_for, ' with ')}, and is no candidate where these are.", ""]
+            first = told.setdefault(e.tells_apart, e.name)
+            lines += [e.tells_apart if first == e.name else f"Told apart as [{first}](#{first}).", "", f"*{e.source}.*"]
     return "\n".join(lines) + "\n"
 
 

@@ -14,20 +14,17 @@ COLOURS = dict(zip(ORDER, MODELS, strict=True))
 TITLE = f"""# What the constants are for: controllers
 
 Does it help a controller to know the friction that `greybox discover` has found? Each rig below has dry friction that its model
-does not have. From two of its records come a fit of the plain model, a fit with the effect that `discover` names, and the best black
-box that the library's own scan finds. One rule makes a controller of each (`fits/control_design.py`: linear-quadratic with an
-integral, and a Kalman observer, through python-control; the weights are sizes of output and voltage, so they mean the same for
-physical and for black-box states), reading the position alone. The compensated one has besides what only a model with friction can
-give: a force against the friction, in the direction of the wanted motion, and an observer that sticks where the body sticks.
+does not have. From two of its records come a fit of the plain model, one with the effect that `discover` names, and the best black
+box of the library's own scan. One rule makes a controller of each from the position alone (`fits/control_design.py`: linear-quadratic with an
+integral, and a Kalman observer; the weights are sizes of output and voltage). The compensated one has besides
+a force against the friction, in the direction of the wanted motion, and an observer that sticks where the body sticks.
 
 Each controller then runs on the rig itself, friction and all, integrated by equations and a method of its own
 (`fits/rig_twins.py`); and on {FAMILY} rigs drawn from what the records leave open (`export.sample_family`). Everything is **generated,
 not measured**. A dash: it never stays within the band, or there is no margin. Margins are those of the linear loop (the compensation
 is outside it) on the linear rig; "distance from -1" is the least of the loop's Nyquist curve, on the rig, over the family, and over
 the confidence set of the constants.
-
-This page is written by `python -m fits.control_page`; the studies are `fits/control_micro_actuator.py` and `fits/control_pneumatic.py`,
-whose `verdict` asserts what is said here.
+Written by `python -m fits.control_page`; the `verdict` of each study (`fits/control_micro_actuator.py`, `fits/control_pneumatic.py`) asserts what is said here.
 """
 
 

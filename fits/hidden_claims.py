@@ -164,7 +164,8 @@ def write_claims(rows: Sequence[Row], docs: Path) -> None:
         f" on {len(plants)} plants): the numbers that turn a weight into a probability were fitted to another draw.",
         f"A claim is established from a probability of {ESTABLISHED_FROM:g} on.",
         _depth_table(rows),
-        *(f"### {TITLES[d].capitalize()}\n\n{_reliability_table(list_claims(rows, d))}" for d in Depth if d),
+        "By stated probability, the share that is right and of how many claims:",
+        _reliability_table(rows),
         "![Stated probability against observed frequency, by depth](figures/claims.svg)",
     ]
     with (docs / "discovery_study.md").open("a", encoding="utf-8") as page:
@@ -188,15 +189,15 @@ def _depth_table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def _reliability_table(claims: Sequence[Row]) -> str:
-    stated, right = state(claims)
-    lines = ["| stated | claims | mean stated | right |", "|---|---|---|---|"]
+def _reliability_table(rows: Sequence[Row]) -> str:
+    depths = [d for d in Depth if d]
+    claims = [state(list_claims(rows, d)) for d in depths]
+    lines = [f"| stated | {' | '.join(TITLES[d] for d in depths)} |", "|---" * (1 + len(depths)) + "|"]
     for low, high in pairwise(BINS):
-        chosen = (stated >= low) & (stated < high)
-        if chosen.any():
-            lines.append(
-                f"| {low:g} to {min(high, 1):g} | {chosen.sum()} | {stated[chosen].mean():.2f} | {right[chosen].mean():.2f} |"
-            )
+        inside = [right[(stated >= low) & (stated < high)] for stated, right in claims]
+        if any(right.size for right in inside):
+            cells = (f"{right.mean():.2f} of {right.size}" if right.size else "-" for right in inside)
+            lines.append(f"| {low:g} to {min(high, 1):g} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -353,17 +353,15 @@ HEAD = """# Certainty on measured records
 Written by `python -m fits.measured_certainty FOLDER --page docs/studies/measured_certainty.md`: {searches} of {planned} searches, on {rigs}
 rigs, nothing told but the plain model.{note} Each learns from one record, chooses by another and is judged on a third
 (two falls of a ball on another ball of its kind). The records are public and not part of this project; `fits.measured_rigs` says whose
-they are and what is known of each rig. The file of a search in RESULTS holds its answer whole: effects, claims, errors, and its round
-trip (the model that is handed over is written, read back and fitted to the same records, and run in C).
+they are and what is known of each rig. In a round trip the model that is handed over is written, read back and fitted to the same records, and run in C.
 
 - Known by construction, weighing or publication: balls (of heavy ones only the camera shows), rotor (braked at known times, or healthy),
   pendulum, heaters, damper. Of the others nobody knows all: what is claimed beside the known facts is counted as *not known*.
 - On a heavy ball and on the healthy rotor every claim counts as wrong, though the scale of the video does bend.
 - *Right* is a place where something known acts; a variable on which it depends there; a family with a right name in it; a right name.
 
-What took part in setting anything: the numbers that turn weights into probabilities come from simulated cases alone. All these rigs
-have been looked at while the method was built, the silverbox, EMPS and tanks longest (`real_data.md`); no number was fitted to one of
-them. So this page is no blind test. What these records taught stands [in a chapter of its own](../measured_lessons.md).
+The numbers that turn weights into probabilities come from simulated cases alone, but all these rigs
+have been looked at while the method was built: this is no blind test. What these records taught stands [in a chapter of its own](../measured_lessons.md).
 """
 BY_RIG = "What was established at each depth: right/wrong/not known.\n"
 

@@ -154,21 +154,23 @@ def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:
 def test_a_section_of_the_catalogue(hooks) -> None:
     page = hooks.write_catalogue_page((greybox.model.effects.effect("load_dependent_friction"),))
     assert page.endswith(
-        "## load_dependent_friction\n"
+        "## At force\n"
         "\n"
-        "`-(Fc + mu (sizes of the forces that do not depend on v)) sign(v)`\n"
+        "Needs a balance of a velocity, in N, N m or per mass.\n"
         "\n"
-        "Needs a balance of a velocity, in N, N m or per mass, of a rig with `gear`; occasional, with `weight` common.\n"
+        "### load_dependent_friction\n"
+        "\n"
+        "`-(Fc + mu (sizes of the forces that do not depend on v)) sign(v)` (`gear`; occasional, `weight` common)\n"
         "\n"
         "- `Fc` [{force}]: friction without load\n"
         "- `mu` [1]: friction over the force transmitted\n"
         "\n"
         "Contains [coulomb_friction](#coulomb_friction).\n"
         "\n"
-        "Tell it apart: Move at one speed under several loads: this friction grows with the load, Coulomb and viscous friction do not.\n"
+        "Move at one speed under several loads: this friction grows with the load, Coulomb and viscous friction do not.\n"
         "\n"
-        "Source: gears and harmonic drives: Hamon, Gautier, Garrec 2010, Dynamic identification of robots with a dry friction model"
-        " depending on load and velocity.\n"
+        "*gears and harmonic drives: Hamon, Gautier, Garrec 2010, Dynamic identification of robots with a dry friction model"
+        " depending on load and velocity.*\n"
     )
 
 
