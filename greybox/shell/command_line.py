@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -224,6 +224,14 @@ def confirm_model(study: Study, named_model: str | None = None) -> Study:
     return study
 
 
+def _list_files(files: Sequence[Path]) -> str:
+    """The written files; of many in one folder the folder once."""
+    folders = {file.parent for file in files}
+    if len(files) > 3 and len(folders) == 1:
+        return f"files in {folders.pop()}: {', '.join(file.name for file in files)}"
+    return f"files: {', '.join(map(str, files))}"
+
+
 def _show(answer: Answer, study: Study, commands: Mapping[str, Command]) -> None:
     """Print an answer as text or JSON, write what goes with it, and end with its exit code."""
     width = terminal_width(sys.stdout)
@@ -244,7 +252,7 @@ def _show(answer: Answer, study: Study, commands: Mapping[str, Command]) -> None
         following = answer.next if isinstance(answer.next, str) else answer.next.spell(commands)
         lines = wrap_command(f"next: {following}", width) if following else []
         if files := [*answer.files, *pictures, *([page] if page else [])]:
-            lines += wrap(f"files: {', '.join(map(str, files))}", width, "  ")
+            lines += wrap(_list_files(files), width, "  ")
         if lines:
             print_answer("\n".join(["", *lines]))
     if answer.failure:

@@ -128,7 +128,7 @@ def run_demo(
     tell = say or (lambda _: None)
     model = find_shipped_model(MODEL)
     rig = (model + effect(HIDDEN)).start(**STRENGTH)
-    tell(f"measuring the rig (a simulation by CVODES, with sensor noise); it hides {HIDDEN}, which the model lacks")
+    tell(f"measuring the rig (simulated by CVODES, with noise); it hides {HIDDEN}")
     records = _measure(rig, folder)
     known = model.fix(*KNOWN)
     truth = {q.name: q.value for q in rig.fix(*KNOWN).free_parameters}
@@ -137,7 +137,6 @@ def run_demo(
     options = FitOptions(at_rest=True)
     tell(f"1. fit: {', '.join(start)} from {train.rows} rows; {' and '.join(KNOWN)} are known")
     plain = fit(known.start(**start), train, noise=NOISE, validation=test, options=options)
-    tell(f"   the residual in x is {plain.misfit['x'].noise_ratio:.0f} times the noise: the model is incomplete")
     tell("2. discover: which effect of the catalogue explains the residual?")
     discovery = discover(
         known.start(**start),

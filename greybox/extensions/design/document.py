@@ -128,7 +128,7 @@ def _limits(design: Design) -> TableBlock:
 
 
 def _alternatives(design: Design) -> TableBlock:
-    rows = [[name_alternative(a), f"{a.gain:.3g} times as much"] for a in design.alternatives]
+    rows = [[name_alternative(a), wording.times_text(a.gain)] for a in design.alternatives]
     note = "Twice as much means intervals half as wide, explanations twice as far apart, or half the amount seen."
     return TableBlock("What could be done instead", ["instead", "brings"], rows, note)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from greybox.base import format_unit
 from greybox.base.document import Block, Document, EquationList, FigureBlock, Later, Section, TableBlock
 from greybox.estimation.result_parts import Estimate
-from greybox.show.documents import comparison, discovery, fit, linearisation, tables
+from greybox.show.documents import comparison, discovery, linearisation, tables
 from greybox.show.figures.discovery import plot_holdout_error
 from greybox.show.sentences.wording import format_with_std
 
@@ -19,19 +19,12 @@ if TYPE_CHECKING:
 def describe_demo(demo: Demo, *, command: str = "") -> Document:
     """What is said of the demonstration; ``command`` is what was typed."""
     answer = discovery.discovery_answer(demo.discovery)
-    output, worst = max(demo.plain.misfit.items(), key=lambda item: item[1].noise_ratio)
-    names = [name for name in demo.truth if name in demo.deviations]
-    deviation = max((abs(demo.deviations[name]) for name in names), default=0.0)
     return Document(
         "Demonstration: from the first fit to the controller",
         answer,
         discovery.discovery_tone(demo.discovery),
         Later(lambda: [_parameters(demo)]),
-        [
-            f"with the plain model {fit.error_text(output, worst)}",
-            f"every fitted parameter is within {deviation:.1f} standard deviations of its true value",
-            *demo.comparison.verdict[:1],
-        ],
+        list(demo.comparison.verdict[:1]),
         Later(_details, demo),
         "A simulated micro-motion actuator has an effect that its model lacks. Does the program detect and identify the effect, and"
         " does the extended model have smaller errors?",

@@ -13,7 +13,7 @@ from greybox.comparison.blackbox.polynomial import BlackBoxFinding
 from greybox.comparison.result import ComparisonFinding
 from greybox.show.sentences import register, renders, writes
 from greybox.show.sentences.estimation import status_text
-from greybox.show.sentences.wording import quantity_text, value_with_unit
+from greybox.show.sentences.wording import quantity_text, times_text, value_with_unit
 
 if TYPE_CHECKING:
     from greybox.base import Check
@@ -45,7 +45,7 @@ def _best_model(finding: Finding) -> str:
     if values["equally_good"]:
         return f"{text}. {rival} is equally good within {100 * values['tolerance']:.0f} %."
     if least > 0:
-        return f"{text}. The best {values['other_kind']} box, {rival}, has {other / least:.3g} times the error."
+        return f"{text}. The best {values['other_kind']} box, {rival}, has {times_text(other / least, 'the error')}."
     return f"{text}. The best {values['other_kind']} box, {rival}, has {quantity_text(other, unit, 4)}."
 
 

@@ -390,7 +390,7 @@ def _write_starts(finding: Finding) -> str:
     counts, ratios, nowhere = finding.values["counts"], finding.values["ratios"], finding.values["without_result"]
     total = sum(counts) + nowhere
     # over the best one, whose misfit may be as good as none
-    larger = [f"{ratio / ratios[0]:.3g} times as large" if ratios[0] > 0 else "larger" for ratio in ratios]
+    larger = [wording.times_text(ratio / ratios[0], "as large") if ratios[0] > 0 else "larger" for ratio in ratios]
     parts = [f"{counts[0]} of {total} starts ended at the best optimum"]
     parts += [f"{n} at a worse one (misfit {size})" for n, size in zip(counts[1:4], larger[1:4], strict=True)]
     if len(counts) > 4:

@@ -190,6 +190,12 @@ def plain_number(value: float) -> str:
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
+def times_text(ratio: float, what: str = "as much") -> str:
+    """``1.5 times as much``; ``as much`` where the ratio is one as it is written."""
+    times = f"{ratio:.3g}"
+    return what if times == "1" else f"{times} times {what}"
+
+
 def ratio_text(misfit: Misfit) -> str:
     """How many times its noise an error is: ``0.754``; ``at least 35.3`` where the noise has no more than a ceiling."""
     bound = {"at_most": "at least ", "at_least": "at most "}.get(misfit.direction or "", "")

@@ -1,7 +1,7 @@
 """Numbers in sentences, as people read them."""
 
 from greybox.extensions.changes.document import share_of
-from greybox.show.sentences.wording import spread_text
+from greybox.show.sentences.wording import spread_text, times_text
 
 
 def test_a_percentage_above_a_hundred_is_a_whole_number():
@@ -9,3 +9,9 @@ def test_a_percentage_above_a_hundred_is_a_whole_number():
     assert share_of(-2.5, 1.0, "m") == "250 %"
     assert spread_text(0.997, "m", relative=True) == "99.7 %"
     assert spread_text(0.1234, "m", relative=True) == "12 %"
+
+
+def test_a_ratio_that_is_written_as_one_is_no_number():
+    assert times_text(1.0) == times_text(1.004) == times_text(0.9996) == "as much"
+    assert times_text(0.994, "as large") == "0.994 times as large"
+    assert times_text(118.4, "the error") == "118 times the error"
