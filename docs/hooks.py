@@ -373,8 +373,10 @@ several sites (bodies, inputs, outputs), the name alone means the first, and `NA
 [your own](own_effect.md).
 
 In equations `x` and `v` are displacement and velocity of a body, `u` is the input and `y` the output at the site. Units in braces are
-those of the model: `{force}` is that of its balance. Behind each equation stand the [parts](#parts-of-a-rig-and-what-is-usual) that a rig must
-have and how usual the effect is, on rigs in general and with certain parts; below, the experiment that tells it from its rivals, and the source.
+those of the model: `{force}` is that of its balance. Behind each equation stand the [parts](#parts-of-a-rig-and-what-is-usual)
+that a rig must
+have and how usual the effect is, on rigs in general and with certain parts; below, the experiment that tells it from its rivals,
+and the source.
 """
 
 PARTS_HEAD = """
@@ -388,7 +390,8 @@ follows. A model that lists its `candidates` has said what may hide; only parts 
 
 The classes below ({classes}) are a judgement on the counts of 109
 published, shipped or fitted models of rigs, good to a factor of two: which share of the rigs with the part lacks the effect in its
-plain model, at one place. They [order](how_it_works.md#which-effect-is-missing) what does equally well on the records. An effect of your own counts as common.
+plain model, at one place. They [order](how_it_works.md#which-effect-is-missing) what does equally well on the records. An effect
+of your own counts as common.
 
 """
 

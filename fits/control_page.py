@@ -15,7 +15,8 @@ TITLE = f"""# What the constants are for: controllers
 
 Does it help a controller to know the friction that `greybox discover` has found? Each rig below has dry friction that its model
 does not have. From two of its records come a fit of the plain model, one with the effect that `discover` names, and the best black
-box of the library's own scan. One rule makes a controller of each from the position alone (`fits/control_design.py`: linear-quadratic with an
+box of the library's own scan. One rule makes a controller of each from the position alone (`fits/control_design.py`:
+linear-quadratic with an
 integral, and a Kalman observer; the weights are sizes of output and voltage). The compensated one has besides
 a force against the friction, in the direction of the wanted motion, and an observer that sticks where the body sticks.
 
@@ -24,7 +25,8 @@ Each controller then runs on the rig itself, friction and all, integrated by equ
 not measured**. A dash: it never stays within the band, or there is no margin. Margins are those of the linear loop (the compensation
 is outside it) on the linear rig; "distance from -1" is the least of the loop's Nyquist curve, on the rig, over the family, and over
 the confidence set of the constants.
-Written by `python -m fits.control_page`; the `verdict` of each study (`fits/control_micro_actuator.py`, `fits/control_pneumatic.py`) asserts what is said here.
+Written by `python -m fits.control_page`; the `verdict` of each study (`fits/control_micro_actuator.py`,
+`fits/control_pneumatic.py`) asserts what is said here.
 """
 
 

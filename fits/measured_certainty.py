@@ -353,7 +353,8 @@ HEAD = """# Certainty on measured records
 Written by `python -m fits.measured_certainty FOLDER --page docs/studies/measured_certainty.md`: {searches} of {planned} searches, on {rigs}
 rigs, nothing told but the plain model.{note} Each learns from one record, chooses by another and is judged on a third
 (two falls of a ball on another ball of its kind). The records are public and not part of this project; `fits.measured_rigs` says whose
-they are and what is known of each rig. In a round trip the model that is handed over is written, read back and fitted to the same records, and run in C.
+they are and what is known of each rig. In a round trip the model that is handed over is written, read back and fitted to the same
+records, and run in C.
 
 - Known by construction, weighing or publication: balls (of heavy ones only the camera shows), rotor (braked at known times, or healthy),
   pendulum, heaters, damper. Of the others nobody knows all: what is claimed beside the known facts is counted as *not known*.
@@ -361,7 +362,8 @@ they are and what is known of each rig. In a round trip the model that is handed
 - *Right* is a place where something known acts; a variable on which it depends there; a family with a right name in it; a right name.
 
 The numbers that turn weights into probabilities come from simulated cases alone, but all these rigs
-have been looked at while the method was built: this is no blind test. What these records taught stands [in a chapter of its own](../measured_lessons.md).
+have been looked at while the method was built: this is no blind test. What these records taught stands [in a chapter of its
+own](../measured_lessons.md).
 """
 BY_RIG = "What was established at each depth: right/wrong/not known.\n"
 

@@ -20,7 +20,8 @@ with test errors in view: how many rows the last silverbox fit uses, which first
 form of the tanks' reading curve.
 All errors are those of free runs, as root mean squares.
 
-No model is complete on any of the three: what is left stays above the sensors' noise ([what measured records taught us](../measured_lessons.md)).
+No model is complete on any of the three: what is left stays above the sensors' noise ([what measured records taught
+us](../measured_lessons.md)).
 """
 
 
