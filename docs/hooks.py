@@ -450,7 +450,10 @@ def write_catalogue_page(entries: Sequence[Any]) -> str:
             if e.approaches:
                 lines += [f"Approaches {_names(e.approaches)} at the end of its range.", ""]
             if e.stands_for:
-                lines += [f"Says the same as {_names(e.stands_for, ' with ')}, and is no candidate where these are.", ""]
+                lines += [
+                    f"Says the same as {_names(e.stands_for, ' with ')}, and is no candidate where these are.",
+                    "",
+                ]
             first = told.setdefault(e.tells_apart, e.name)
             lines += [e.tells_apart if first == e.name else f"Told apart as [{first}](#{first}).", "", f"*{e.source}.*"]
     return "\n".join(lines) + "\n"

@@ -78,7 +78,10 @@ def test_a_fit_prints_saves_and_draws(run: Run, data: Path, tmp_path: Path) -> N
     folder = tmp_path / "results" / "micro_actuator-fit"
     figures = ["fit-train", "residual-i", "residual-x", "validation-test"]
     assert everything(folder) == sorted(["constants.tex", "fit.json", "report.html", *drawn(*figures)])
-    files = {Path(file).name for file in result.stdout.partition("files in results/micro_actuator-fit: ")[2].replace(",", "").split()}
+    files = {
+        Path(file).name
+        for file in result.stdout.partition("files in results/micro_actuator-fit: ")[2].replace(",", "").split()
+    }
     assert files == {name for name in everything(folder) if not name.endswith((".svg", ".pdf"))}
     saved = json.loads((folder / "fit.json").read_text())
     assert saved["model"] == "micro_actuator"

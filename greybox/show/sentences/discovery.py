@@ -583,7 +583,9 @@ register(
         DiscoveryCode.NO_INPUT_RESPONSE: "no effect at an input of {subject} was tried: no linear response to its inputs could be found",
         DiscoveryCode.PLANT_DISAGREES: lambda f: (
             f"{f.subject} itself errs otherwise than the model about its run, on which the effects were found: "
-            + wording.join_names([f"{wording.times_text(ratio)} in {name}" for name, ratio in f.values["ratios"].items()])
+            + wording.join_names(
+                [f"{wording.times_text(ratio)} in {name}" for name, ratio in f.values["ratios"].items()]
+            )
         ),
         DiscoveryCode.PLANT_FAILS: "{subject} itself does not run with {effects}: their constants and errors are those of the model about"
         " its run",
