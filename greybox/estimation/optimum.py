@@ -84,7 +84,8 @@ def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.
 @dataclass(frozen=True, eq=False)
 class OtherCourse:
     """What other ``courses`` (input -> course) between the rows, or one for all signals, make of an optimum: the ``change`` of each free
-    constant (nf,), and by how much the cost is less; None where the run is joined from segments, which no step compares."""
+    constant (nf,), and by how much the cost is less; None where no step compares them: of a run that is joined
+    from segments, or that leads elsewhere."""
 
     courses: Mapping[str, str] | str
     change: np.ndarray | None = None
@@ -254,7 +255,7 @@ class Optimum(ABC):
         """Change of each free constant (nf,) by some steps with other ``records`` of the same rows, and by how much the cost is less then.
 
         The steps to the optimum with these and with the present records are compared, so that what the search has left over does not count.
-        None where the runs over them are not finite.
+        None where the runs over them are not finite, and where of two steps the second still promises more than the loss that is seen.
         """
         variables, (low, high), objective = self.variables, self._step_bounds, self.objective.with_records(records)
         gone, result, (step, cost) = np.zeros(variables.size), None, self._step_here
@@ -269,6 +270,10 @@ class Optimum(ABC):
                 result = (gone - step)[: len(variables.which)] * variables.spans, float(gain)
             if gain < -NO_SECOND_STEP * promised:
                 break
+        else:
+            # Of a plant that falls over the steps have led elsewhere: what fits there is not known.
+            if steps > 1 and promised > -gain > 0:
+                return None
         return result
 
     @property
@@ -299,10 +304,8 @@ class Optimum(ABC):
                 records = tuple(r if s is o else r.with_other_course(column, n) for r, s, o in pairs)
             # Far from this optimum a second step corrects what the first foretold of a curved plant; where runs have a price one is enough.
             steps = 1 if isinstance(problem.kernel, PlantKernel) else 2
-            if self.solution.joined:
-                result.append(OtherCourse({n: courses[n] for n in names}))
-            elif seen := self._step_with(records, steps):
-                result.append(OtherCourse({n: courses[n] for n in names}, *seen))
+            seen = None if self.solution.joined else self._step_with(records, steps)
+            result.append(OtherCourse({n: courses[n] for n in names}, *(seen or ())))
         # A meter writes means over the interval that ends at its row, which held from there on act late; a sensor beside it may not.
         inputs: dict[str, Hold] = dict.fromkeys([i.name for i in problem.model.inputs], "mean")
         can_be_means = (

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
 import greybox as gb
@@ -189,3 +191,43 @@ def test_what_means_would_gain_is_foretold_without_a_run(kind: str, monkeypatch:
         # A run that begins at rest, though the record did not, cannot move on along its way from there.
         if kind not in ("held", "at rest"):
             assert max(means) > 0.5 * bound
+
+
+def test_a_course_under_which_the_plant_falls_over_is_not_taken_for_refuted() -> None:
+    """A pendulum near its top: under the true course, at the constants of the wrong one, it goes round, and that loss says nothing."""
+    rng, truth = np.random.default_rng([10, 320]), {"J": 0.08, "b": 0.15, "mgl": 2.0}
+    f = np.exp(rng.uniform(np.log(0.1), np.log(3.0), 6))
+    a, phase = rng.uniform(0.3, 1, 6) * (0.1 / f) ** 0.3, rng.uniform(0, 2 * np.pi, 6)
+    time = 0.02 * np.arange(800)
+
+    def push(t: np.ndarray | float) -> np.ndarray:
+        return (
+            0.8 * np.sum(a * np.sin(2 * np.pi * f * np.asarray(t)[..., None] + phase), -1) / np.sqrt(np.sum(a**2) / 2)
+        )
+
+    def fall(t: float, x: np.ndarray) -> list[float]:
+        return [x[1], (push(t) - truth["b"] * x[1] - truth["mgl"] * np.sin(x[0])) / truth["J"]]
+
+    angle = solve_ivp(fall, (0, time[-1]), [0, 0], t_eval=time, rtol=1e-8, atol=1e-10, max_step=0.02).y[0]
+    rng.normal(size=(800, 1))  # the noise of the input, of which there is none
+    angle = angle + 0.02 * angle.std() * rng.normal(size=800)
+    pendulum = Model(
+        "arm",
+        [State("q", "rad"), State("w", "rad/s")],
+        [Input("M", "N*m")],
+        [Output("q", "rad")],
+        [
+            Parameter("J", "kg*m^2", 0.1, (1e-4, 1e2)),
+            Parameter("b", "N*m*s", 0.1, (1e-4, 1e2)),
+            Parameter("mgl", "N*m", 3.0, (1e-2, 1e3)),
+        ],
+        lambda x, u, p: [
+            Balance("turn", "rad/s", 1, "q", w=x.w),
+            Balance("torque", "N*m", p.J, "w", drive=u.M, drag=-p.b * x.w, weight=-p.mgl * ca.sin(x.q)),
+        ],
+    )
+    mistaken = gb.fit(pendulum, Experiment.from_arrays(time, {"M": push(time)}, {"q": angle}))
+    low, high = mistaken.parameters["b"].interval
+    assert not low <= truth["b"] <= high
+    (finding,) = find(mistaken)
+    assert (finding.code, finding.values["courses"]) == (CODES[1], {"M": "first"})
