@@ -13,7 +13,7 @@ from greybox.base.linear_algebra import SymmetricDecomposition, decompose_symmet
 from greybox.base.numerics import AT_BOUND, PRIOR_INFORMATION_CUTOFF, TINY
 from greybox.estimation.objective import LikelihoodMaximum, ResidualRows
 from greybox.estimation.result_parts import Estimate, IntervalKind, PriorCheck
-from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, sum_scores
+from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, give_back, sum_scores
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.shooting_cost import Evaluation
@@ -169,6 +169,9 @@ def estimate_covariance(
     prior = variables.penalty(variables.here)[2] / 2
     known = np.diag(np.pad(prior, (0, variables.size - n)))
     rows, colour = residuals.rows, colour.share_variance(problem.noise.sharing)
+    if colour.coloured:
+        information = sum_scores(variables, rows, colour).information
+        colour = give_back(variables, rows, colour, pseudo_inverse(information + known))
     sums = sum_scores(variables, rows, colour)
     data = sums.information
     freedom = evaluation.count - colour.unknowns + int(variables.has_prior.sum())

@@ -15,8 +15,9 @@ from typing import Protocol
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import matmul_toeplitz, solve_toeplitz
 
-from greybox.base import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
+from greybox.base import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME, TINY
 from greybox.data.noise.noise_model import AutoRegression, NoisePolicy, fit_autoregression, join_series
 from greybox.estimation.options import DEFAULT_POLICY
 
@@ -68,10 +69,25 @@ class ResidualColour:
 
     @property
     def degrees(self) -> float:
-        """Independent samples that the variance rests on (Bartlett 1935), less the unknowns."""
-        # n / sum rho_k^2 (Bartlett 1935)
-        independent = sum(n / squares for n, (_, squares) in zip(self.counts, self.times, strict=True))
-        return max(independent - self.unknowns, 1.0)
+        """Of freedom of a variance at the frequency where the residual is loudest, which slow constants rest on."""
+        return max(sum(_count_degrees(m, n) for m, n in zip(self.models, self.counts, strict=True)), 1.0)
+
+
+# Frequencies at which the spectrum of a residual is looked at, from 0 to half the sampling rate.
+SPECTRUM_POINTS = 257
+
+
+def _count_degrees(process: AutoRegression, count: int) -> float:
+    """Degrees of freedom of the largest value of the spectrum of ``process`` that ``count`` samples have told."""
+    # S(w) = E |A|^-2 with A = 1 - sum a_k e^-iwk; the a_k have the covariance E G^-1 / n, G_jk = rho_|j-k|, and the variance E that of n
+    # squares: var log S = 2 / n + d' E G^-1 d / n, d = d log S / d a_k = 2 Re(e^-iwk / A) (Akaike 1969).
+    lags, rho = np.arange(1, process.order + 1), process.autocorrelation(max(process.order, 1))
+    waves = np.exp(-1j * np.outer(np.linspace(0, np.pi, SPECTRUM_POINTS), lags))
+    whitener = 1 - waves @ process.coefficients
+    loudest = int(np.argmin(np.abs(whitener)))
+    slope = 2 * (waves[loudest] / whitener[loudest]).real
+    told = slope @ solve_toeplitz(rho, slope) * process.innovation_variance if process.order else 0.0
+    return count / (1 + told / 2)
 
 
 # A residual of fewer samples shows no colour that could be told from chance: it counts as white.
@@ -164,6 +180,65 @@ def sum_scores(
                 squares = _compute_form(take, len(r), compute_correlations(process, len(r)))
             coloured[block] += colour.variance[j] * squares
     return ScoreSums(score, information, white, coloured)
+
+
+# Share of the noise that the unknowns take from which it is given back: less is a hundredth of a standard deviation.
+LEAST_TAKEN = 0.02
+# Share up to which it can be: beyond, the residual shows another process than the noise.
+MOST_TAKEN = 0.75
+# Searches for the noise at most: what is left of its bias falls by more than half in each.
+ROUNDS_GIVEN_BACK = 6
+# Correlation with the row before, up to which a record tells a stationary process.
+LARGEST_REFLECTION = 0.999
+
+
+def give_back(
+    variables: ColumnLayout, rows: Sequence[tuple[np.ndarray, np.ndarray]], colour: ResidualColour, inverse: np.ndarray
+) -> ResidualColour:
+    """Colour and variance of the noise behind residuals of this ``colour``, whose slow parts the unknowns have followed.
+
+    Of noise ``e`` with covariance ``C`` a fit leaves ``r = e - J A^-1 J'e``, whose covariance is
+    ``C - J A^-1 J'C - C J A^-1 J' + J A^-1 B A^-1 J'`` with ``B = J'C J``: looked for is the noise whose residual has the size and the
+    colour that are seen. ``inverse`` (size, size): ``A^-1``. A record too long for its unknowns to matter is left as it is.
+    """
+    if sum(len(r) for r, _ in rows) > ROWS_AT_A_TIME:
+        return colour
+    seen, least = [m.autocorrelation(m.order + 1) for m in colour.models], colour.variance
+    squares = [sum(float(np.nansum(r[:, j] ** 2)) for r, _ in rows) for j in range(len(seen))]
+    rho = list(seen)
+    for _ in range(ROUNDS_GIVEN_BACK):
+        form = sum_scores(variables, rows, colour).coloured
+        share = np.sum(inverse * form) / max(np.dot(colour.variance, colour.counts), TINY)
+        if not LEAST_TAKEN < share < MOST_TAKEN:
+            break
+        models, variance, middle = list(colour.models), list(colour.variance), inverse @ form @ inverse
+        for j, process in enumerate(colour.models):
+            left, pairs = np.zeros((2, process.order + 1))
+            for e, (r, jacobian) in enumerate(rows):
+                block, measured = np.ix_(variables.columns(e), variables.columns(e)), np.isfinite(r[:, j])
+                slopes, correlations = _take_slopes(r, jacobian, j, slice(None)), process.autocorrelation(len(r))
+                driven = variance[j] * matmul_toeplitz(correlations, slopes) * measured[:, None]
+                taken, followed = slopes @ inverse[block], slopes @ middle[block]
+                for k in range(process.order + 1):
+                    early, late = slice(0, len(r) - k), slice(k, len(r))
+                    count = np.count_nonzero(measured[early] & measured[late])
+                    lost = taken[early] * driven[late] + driven[early] * taken[late] - followed[early] * slopes[late]
+                    pairs[k] += count
+                    left[k] += variance[j] * correlations[k] * count - lost.sum()
+            if not squares[j] or left[0] <= 0:
+                continue
+            rho[j] = rho[j] + seen[j] - left / np.maximum(pairs, 1) * pairs[0] / left[0]
+            variance[j] = max(variance[j] * squares[j] / left[0], least[j])
+            models[j] = _to_autoregression(rho[j])
+        colour = replace(colour, models=tuple(models), variance=tuple(variance))
+    return colour
+
+
+def _to_autoregression(rho: np.ndarray) -> AutoRegression:
+    """The process with the autocorrelation ``rho`` (p + 1,) at its first lags."""
+    # Yule and Walker: the last coefficient of each order is its reflection coefficient.
+    reflection = [float(solve_toeplitz(rho[:k], rho[1 : k + 1])[-1]) for k in range(1, len(rho))]
+    return AutoRegression(tuple(np.clip(reflection, -LARGEST_REFLECTION, LARGEST_REFLECTION).tolist()))
 
 
 # The kernel estimate of the scores' covariance looks so many correlation times back.

@@ -13,11 +13,12 @@ import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base.errors import FitError, ModelError
 from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import load_fit
-from greybox.estimation.sandwich import compute_toeplitz_form
+from greybox.estimation.sandwich import ResidualColour, compute_toeplitz_form, estimate_residual_colour, give_back
 from greybox.estimation.uncertainty import bootstrap, profile
 from models.emps import emps
 from models.micro_actuator import micro_actuator
@@ -290,3 +291,49 @@ def test_gaps_and_irregular_time_keep_the_intervals_honest():
         assert found.uncertainty.kind == "sandwich"
         z += [(found.parameters[q.name].value - q.value) / found.parameters[q.name].std for q in TRUTH.free_parameters]
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+class Shared:
+    """All unknowns concern the one record."""
+
+    size = 3
+
+    def columns(self, experiment: int) -> np.ndarray:
+        return np.arange(3)
+
+
+def test_slow_noise_that_the_constants_have_followed_is_given_back() -> None:
+    """Known noise behind a regression on slow columns: what its residual shows of size and colour is too little, and is set right."""
+    rows, rho = 400, 0.95
+    t = np.linspace(-1, 1, rows)
+    slopes = np.stack([np.ones(rows), t, np.sin(3 * t)], axis=1)
+    inverse = np.linalg.inv(slopes.T @ slopes)
+    seen, found = [], []
+    for seed in range(100):
+        shock = np.sqrt(1 - rho**2) * np.random.default_rng(seed).normal(size=rows + 500)
+        noise = lfilter([1.0], [1.0, -rho], shock)[500:]
+        data = [((noise - slopes @ inverse @ slopes.T @ noise)[:, None], slopes[:, None])]
+        colour = estimate_residual_colour(data, 3, False)
+        for colours, each in ((seen, colour), (found, give_back(Shared(), data, colour, inverse))):
+            if colour.coloured:
+                colours.append((each.models[0].autocorrelation(2)[1], each.variance[0]))
+    (raw, small), (right, whole) = np.mean(seen, axis=0), np.mean(found, axis=0)
+    assert raw < rho - 0.02 and small < 0.8
+    assert abs(right - rho) < 0.01 and abs(whole - 1) < 0.1
+
+
+@pytest.mark.parametrize(("rho", "rows"), [(0.5, 400), (0.9, 1000), (-0.9, 1000), (0.95, 3000)])
+def test_degrees_are_those_of_the_scatter_of_the_loudest_frequency(rho: float, rows: int) -> None:
+    logarithms, degrees = [], []
+    for seed in range(200):
+        noise = lfilter([1.0], [1.0, -rho], np.random.default_rng(seed).normal(size=rows + 500))[500:]
+        # The largest value of the spectrum, by the least squares of one row on the one before.
+        slope = noise[1:] @ noise[:-1] / (noise[:-1] @ noise[:-1])
+        error = noise[1:] - slope * noise[:-1]
+        logarithms.append(np.log(error @ error / rows) - 2 * np.log(1 - abs(slope)))
+        degrees.append(ResidualColour((AutoRegression((rho,)),), (1.0,), (rows,)).degrees)
+    assert np.sqrt(2 / degrees[0]) == pytest.approx(np.std(logarithms), rel=0.2)
+
+
+def test_a_white_residual_has_as_many_degrees_as_samples() -> None:
+    assert ResidualColour((AutoRegression(),) * 2, (1.0, 1.0), (40, 60)).degrees == 100
