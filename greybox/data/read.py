@@ -404,7 +404,7 @@ def _read_runs(
     requested = request_conditions(model, [name for name in conditions or {} if name not in given])
     read_one = partial(read_arrays, model=model, conditions=requested, hold=hold, **source._asdict())
     records = _collect([partial(read_one, path) for path in paths])
-    if len(records) > 1 and (shared := _find_shared_courses(records, hold, source.interpolation or {})):
+    if len(records) > 1 and (shared := find_shared_courses(records, hold, source.interpolation or {})):
         read_one = partial(read_one, interpolation={**(source.interpolation or {}), **shared})
         records = _collect([partial(read_one, path) for path in paths])
         notes = tuple(
@@ -428,8 +428,8 @@ def _read_runs(
     return [experiment for runs in _collect(experiments) for experiment in runs]
 
 
-def _find_shared_courses(
-    records: Sequence[RecordArrays], hold: Holds, interpolation: Mapping[str, Hold]
+def find_shared_courses(
+    records: Sequence[RecordArrays | Experiment], hold: Holds, interpolation: Mapping[str, Hold]
 ) -> dict[str, Hold]:
     """One course for each input that nobody told and that moves differently from record to record by their values: one signal has one."""
     given = {**(hold if isinstance(hold, Mapping) else {}), **interpolation}

@@ -86,8 +86,8 @@ def _count_degrees(process: AutoRegression, count: int) -> float:
     whitener = 1 - waves @ process.coefficients
     loudest = int(np.argmin(np.abs(whitener)))
     slope = 2 * (waves[loudest] / whitener[loudest]).real
-    told = slope @ solve_toeplitz(rho, slope) * process.innovation_variance if process.order else 0.0
-    return count / (1 + told / 2)
+    variance = slope @ solve_toeplitz(rho, slope) * process.innovation_variance if process.order else 0.0
+    return count / (1 + variance / 2)
 
 
 # A residual of fewer samples shows no colour that could be told from chance: it counts as white.

@@ -13,7 +13,7 @@ import os
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -134,6 +134,8 @@ def _parse_entry(data: Mapping[str, Any]) -> tuple[frozenset[str] | None, dict[s
 # Records that are fitted here before the others are shared out: they tell where the others begin and how long one takes, and compile what
 # all need. Their median is that of machines as they usually are even if two of them are not.
 PILOTS = 5
+# Records, from all over a fleet, that tell how its inputs move between rows.
+COURSE_RECORDS = 12
 # Seconds that one job should take: long against handing it out, short against what an interruption may lose.
 JOB_SECONDS = 1.0
 # Most records of one job: each is read and sent with it.
@@ -240,12 +242,28 @@ class _FleetRun:
     def __init__(
         self, work: _Work, items: Sequence[Item], journal: str | Path | None, report: JobProgressCallback | None
     ) -> None:
-        self.work, self.items, self.report = work, items, report
+        self.items, self.report = items, report
         self.journal = None if journal is None else FleetJournal(Path(journal))
-        self.keys = list(_hash_records(work, items)) if self.journal else [""] * len(items)
+        asked = list(_hash_records(work, items)) if self.journal else [""] * len(items)
+        self.work = self._share_courses(work, asked)
+        self.keys = list(_hash_records(self.work, items)) if self.journal else asked
+        begun = self.journal.begun if self.journal else ()
+        self.begun = [k for k, keys in enumerate(zip(asked, self.keys, strict=True)) if not {*keys}.isdisjoint(begun)]
         known = self.journal.known if self.journal else {}
         self.results: list[RecordEstimate | None] = [known.get(key) for key in self.keys]
         self.errors: dict[int, str] = {}
+
+    def _share_courses(self, work: _Work, keys: Sequence[str]) -> _Work:
+        """One course for each input of the files, as a sample of them shows it."""
+        records, step = [], math.ceil(len(self.items) / COURSE_RECORDS)
+        for key, reference in zip(keys[::step], work.collection.references[::step], strict=False):
+            if self.journal and key in self.journal.begun:
+                continue
+            if self.journal:
+                self.journal.begin([key])
+            with suppress(DataError):  # it is told where it is fitted
+                records.append(work.collection.read(reference, work.model))
+        return replace(work, collection=work.collection.with_courses_of(records)) if records else work
 
     @property
     def start(self) -> dict[str, float]:
@@ -271,7 +289,7 @@ class _FleetRun:
     @property
     def suspects(self) -> list[int]:
         """Numbers of the open records that an earlier run had begun."""
-        return [k for k in self.open if self.journal and self.keys[k] in self.journal.begun]
+        return [k for k in self.begun if self.results[k] is None]
 
     def give_up(self, numbers: Iterable[int]) -> None:
         """The reason in place of constants for those of these records that are open, kept like a result."""

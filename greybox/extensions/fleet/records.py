@@ -12,14 +12,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from greybox.base import DataError
+import numpy as np
+
+from greybox.base import DataError, Finding
 from greybox.base.texts import to_word
 from greybox.data.columns import ColumnMapping
 from greybox.data.experiment import Experiment
 from greybox.data.file_kinds import list_record_files
+from greybox.data.findings import RecordCode
 from greybox.data.input_course import Hold, Holds
 from greybox.data.policy import READING_POLICY, ReadingPolicy
-from greybox.data.read import WHOLE, Window, read_csv
+from greybox.data.read import WHOLE, Window, find_shared_courses, read_csv
 from greybox.model import Model
 
 
@@ -65,26 +68,43 @@ class RecordCollection:
         Where each lies.
     layout
         Arguments of `greybox.read_csv` for all of them.
+    findings
+        What is said of each record.
     """
 
     references: tuple[RecordReference, ...]
     layout: Mapping[str, Any] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
 
     def __len__(self) -> int:
         return len(self.references)
+
+    def with_courses_of(self, records: Sequence[Experiment]) -> RecordCollection:
+        """With one course for each input that nobody told, as some ``records`` show it: a signal of a fleet moves in one way."""
+        given = self.layout.get("interpolation") or {}
+        shared = find_shared_courses(records, self.layout.get("hold", "auto"), given) if records else {}
+        moving = {n: r.courses[n] for r in records for n, values in r.inputs.items() if np.ptp(values) > 0}
+        straight = {f.subject: f for r in records for f in r.findings if f.code == RecordCode.INPUT_TAKEN_STRAIGHT}
+        findings = [f for n, f in straight.items() if n not in shared]
+        findings += [
+            Finding(RecordCode.INPUT_COURSE_SHARED, subject=n, values={"course": c}) for n, c in shared.items()
+        ]
+        return replace(
+            self, layout={**self.layout, "interpolation": {**moving, **shared, **given}}, findings=tuple(findings)
+        )
 
     def read(self, reference: RecordReference, model: Model) -> Experiment:
         """One record in the model's units. Raises DataError."""
         if reference.problem:
             raise DataError(reference.problem)
-        if reference.rows is None:
-            return read_csv(reference.path, model, name=reference.name, **self.layout)
-        from greybox.extensions.formats.parquet_file import open_parquet_part
+        source: Any = reference.path
+        if reference.rows is not None:
+            from greybox.extensions.formats.parquet_file import open_parquet_part
 
-        part = open_parquet_part(
-            reference.path, reference.rows, reference.column, self.layout.get("reading", READING_POLICY)
-        )
-        return read_csv(part, model, name=reference.name, **self.layout)
+            policy = self.layout.get("reading", READING_POLICY)
+            source = open_parquet_part(reference.path, reference.rows, reference.column, policy)
+        record = read_csv(source, model, name=reference.name, **self.layout)
+        return replace(record, findings=(*record.findings, *self.findings))
 
 
 def find_records(

@@ -416,3 +416,28 @@ def test_one_measurement_that_is_in_a_fleet_twice_is_named(copy: str) -> None:
     (finding,) = [f for f in gb.fit_each(model, [*records, twin]).findings if f.code is FleetCode.RECORDS_ALIKE]
     assert (finding.values["first"], finding.subject) == ("r3", "twin")
     assert "counts it twice" in str(finding)
+
+
+@pytest.mark.parametrize("told", [{}, {"hold": "zero"}, {"interpolation": {"u": "zero"}}])
+def test_an_input_moves_in_one_way_in_all_files_of_a_fleet(tmp_path: Path, told: dict) -> None:
+    """Every other record is too short and noisy for its rows to show what the others show."""
+    for k in range(6):
+        rng, time = np.random.default_rng(k), 0.05 * np.arange(80 if k % 2 else 400)
+        u, answer = np.sin(1.1 * time), 2 * np.sin(1.1 * time - np.arctan(0.55)) / np.hypot(1, 0.55)
+        columns = (time, u + (0.3 if k % 2 else 0.02) * rng.normal(size=len(time)), answer)
+        np.savetxt(
+            tmp_path / f"{k}.csv",
+            np.column_stack(columns),
+            delimiter=",",
+            header="time [s],u,y",
+            comments="",
+            fmt="%.17g",
+        )
+    files = sorted(tmp_path.glob("*.csv"))
+    alone = [gb.read_csv(file, MODEL) for file in files]
+    assert {r.courses["u"] for r in alone} == {"first", "zero"}
+    fleet = gb.fit_each(MODEL, gb.fleet.find_records(files, **told), journal=tmp_path / "journal")
+    expected = [gb.fit(MODEL, r.with_hold("zero" if told else "first")) for r in alone]
+    for found, each in zip(fleet.records, expected, strict=True):
+        assert found.parameters["lag"].value == pytest.approx(each.parameters["lag"].value, rel=1e-3)
+        assert ("input_course_shared" in {f.code for f in found.findings}) == (not told)
