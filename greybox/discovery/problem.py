@@ -17,7 +17,7 @@ from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.discovery.execution import NOT_SIMULATED, FailureLog, RefitExecutor, RefitJob, RefitOutcome, SearchStage
 from greybox.discovery.laws.terms import claimed_name, is_law
 from greybox.estimation.findings import locate_simulation_failure
-from greybox.estimation.noise_loop import solve
+from greybox.estimation.noise_loop import predict_cost, solve
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result import Fit
@@ -276,11 +276,11 @@ class DiscoveryProblem:
         """The estimation problem of a candidate, and those of its starts from which it can be simulated, most promising first."""
         most = self._most_substeps
         problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
-        points = _rank_starts(problem, starts)
+        points = _rank_starts(problem, starts, self.refit_options)
         if not points and problem.step.substeps >= most:
             most *= UNSTABLE_FACTOR
             problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
-            points = _rank_starts(problem, starts)
+            points = _rank_starts(problem, starts, self.refit_options)
         return problem, points
 
     @cached_property
@@ -513,7 +513,7 @@ def _promised_cost(solution: Solution) -> float:
     return evaluation.cost - evaluation.predicted_decrease(*solution.variables.bounds())
 
 
-def _rank_starts(problem: EstimationProblem, starts: Sequence[StartValues]) -> list[_Start]:
+def _rank_starts(problem: EstimationProblem, starts: Sequence[StartValues], options: FitOptions) -> list[_Start]:
     """The starts from which the model can be simulated, most promising first: by the cost that one step promises."""
-    points = [(problem.predict_cost(v), v) for v in map(problem.variables.start_at, starts)]
+    points = [(predict_cost(problem, v, options), v) for v in map(problem.variables.start_at, starts)]
     return sorted((point for point in points if np.isfinite(point[0])), key=lambda point: point[0])

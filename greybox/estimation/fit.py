@@ -46,10 +46,17 @@ from greybox.estimation.findings import (
     is_output_at_noise,
     list_shared_noise,
 )
-from greybox.estimation.noise_loop import estimate_by_simulation_error, keep_best, summarise_outliers, to_huber
+from greybox.estimation.noise_loop import (
+    estimate_by_simulation_error,
+    evaluate_start,
+    keep_best,
+    predict_cost,
+    summarise_outliers,
+    to_huber,
+)
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import Optimum, PredictionOptimum, SimulationOptimum
-from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
+from greybox.estimation.options import ColourTreatment, FitOptions, Transcription, resolve_options
 from greybox.estimation.prediction_error import (
     estimate_by_prediction_error,
     likelihood_ratio_tests,
@@ -318,7 +325,7 @@ def _lengthen_delays(
     problem = prepare_problem(longer, experiments, result.noise.std, replace(options, loss="squares"))
     begins = [fitted | dict.fromkeys(names, rows * period) for rows in LONGER_DELAYS]
     variables = [problem.variables.with_values(begin) for begin in begins]
-    costs = [problem.shooting(v).evaluate(v.here).cost for v in variables]
+    costs = [evaluate_start(problem, v, options)[0].cost for v in variables]
     return longer.start(**begins[int(np.nanargmin(costs))])
 
 
@@ -375,7 +382,8 @@ def measure_fresh_effects(
     optimum = SimulationOptimum(plain, estimate_by_simulation_error(of_plain, options, colour, report))
     if not np.isfinite(optimum.evaluation.cost):
         return None
-    _, states = optimum.problem.shooting(optimum.variables).simulate(optimum.variables.here)[0]
+    # As it was fitted: the free run of an unstable plant may leave the record.
+    _, states = optimum.solution.simulate()[0]
     record = optimum.problem.records[0]
     scales = measure_scales(optimum.fitted_model, states, record.u, float(np.median(record.h)))
     return FreshEffects(fresh, optimum, scales)
@@ -414,6 +422,9 @@ def _begin_with_effects(
         return SimulationOptimum(model, ended)
 
     begun = prepare_problem(model, experiments, problem.noise, near, initial=initial)
+    # By the cost that the search will have: segments of an unstable plant, where the model without them was fitted so.
+    is_segmented = smaller.solution.transcription == Transcription.MULTIPLE
+    judged = replace(near, transcription=Transcription.MULTIPLE) if is_segmented else near
     begins: list[dict[str, float]] = [fitted]
     searched = 0
     # One effect after the other, each beside the best of those before it.
@@ -424,7 +435,7 @@ def _begin_with_effects(
         if count <= MANY_SHAPES_STARTS:
             bases.append({**begins[0], **{q.name: q.value for q in plain.free_parameters}})
         more = [{**base, **value} for base in bases for value in values]
-        promised = (begun.predict_cost(begun.variables.start_at(begin)) for begin in more)
+        promised = (predict_cost(begun, begun.variables.start_at(begin), judged) for begin in more)
         costs = {k: cost for k, cost in enumerate(promised) if np.isfinite(cost)}
         begins = [*(more[k] for k in sorted(costs, key=costs.__getitem__)), *begins]
     ends: list[SimulationOptimum] = []
@@ -616,7 +627,7 @@ def _try_other_starts(
         if held.requested:  # by Ctrl-C: no search follows, and what was found so far is kept
             return np.inf
         variables = problem.variables.with_values(begin)
-        return float(judged.shooting(variables).evaluate(variables.here).cost)
+        return float(evaluate_start(judged, variables, options)[0].cost)
 
     begins, ends = [{q.name: q.value for q in model.free_parameters}], [first]
     ratios = [compute_ratio(first.evaluation.cost, first.misfit, problem.noise)]

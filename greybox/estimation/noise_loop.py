@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from greybox.base import ModelError
+from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.noise.noise_model import AutoRegression, NoiseSource
 from greybox.data.noise.spectrum import estimate_spread
 from greybox.data.sensor_faults import find_strays
@@ -26,7 +27,7 @@ from greybox.estimation.result_parts import RobustReport
 from greybox.estimation.sandwich import LEAST_LEVEL_READINGS, estimate_residual_colour
 from greybox.estimation.transcription.collocation import solve_collocation
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.multiple_shooting import solve_multiple_shooting
+from greybox.estimation.transcription.multiple_shooting import evaluate_apart, solve_multiple_shooting
 from greybox.estimation.transcription.plant_search import SHARES, solve_plant
 from greybox.estimation.transcription.problem import Completion, EstimationProblem, FitProgressCallback, Runs, Solution
 from greybox.estimation.transcription.select import (
@@ -35,7 +36,7 @@ from greybox.estimation.transcription.select import (
     shorten_steps,
     try_free_run,
 )
-from greybox.estimation.transcription.shooting_cost import PlantShooting
+from greybox.estimation.transcription.shooting_cost import Evaluation, PlantShooting
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.plant import PlantModel
@@ -60,6 +61,28 @@ def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCa
     if solution.is_single and not options.progressive and solution.problem.step is problem.step:
         return solution
     return keep_best(solution, problem.variables, options, report)
+
+
+def evaluate_start(
+    problem: EstimationProblem, variables: DecisionVector, options: FitOptions
+) -> tuple[Evaluation, tuple[np.ndarray, np.ndarray]]:
+    """What `solve` minimises at ``variables``, with the distances of its unknowns to their bounds.
+
+    A free run of each record; where ``options`` ask for arcs or segments these, each from the first state that suits it best.
+    """
+    begun = replace(problem, variables=variables)
+    if options.arc_length or options.transcription == Transcription.MULTIPLE:
+        return evaluate_apart(select_transcription(begun, options), options)
+    return begun.shooting().evaluate(variables.here), variables.bounds()
+
+
+def predict_cost(problem: EstimationProblem, variables: DecisionVector, options: FitOptions) -> float:
+    """The cost that one step of the quadratic model promises a search from ``variables``; infinite where nothing can be simulated there."""
+    e, (low, high) = evaluate_start(problem, variables, options)
+    if not (np.isfinite(e.cost) and e.is_finite and np.abs(e.hessian).max(initial=0.0) < OVERFLOWING_CURVATURE):
+        return np.inf
+    # c + g'z + z'H z / 2 at its least within the bounds.
+    return float(e.cost - e.predicted_decrease(low, high))
 
 
 def _search(choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None) -> Solution:

@@ -41,6 +41,7 @@ from greybox.estimation.transcription.problem import (
     Solution,
 )
 from greybox.estimation.transcription.segments import (
+    Cuts,
     SegmentedProblem,
     cut_by_growth,
     cut_in_seconds,
@@ -72,7 +73,7 @@ def solve_multiple_shooting(
             f"arcs of {length:g} s: the longest record lasts {longest:.6g} s, so no record would be divided; take shorter arcs, or leave"
             " arc_length out (shell: --arc-length)"
         )
-    cuts = cut_by_growth(choice.problem) if continuity else cut_in_seconds(choice.problem, length)
+    cuts = _place_cuts(choice, options)
     search = _SegmentSearch(SegmentedProblem.of(choice.problem, cuts), continuity, options, report)
     solution = single_shooting.solve_with_refined_steps(
         choice.problem, search.solve, search.refine, options.policy.step_refinement
@@ -81,6 +82,27 @@ def solve_multiple_shooting(
     values = {"segments": count} if continuity else {"arcs": count, "arc_length": length, "whole": is_whole}
     solution = replace(solution, transcription=str(choice.transcription), strategy=choice.to_strategy(**values))
     return replace(solution, joined=search.join()) if np.isfinite(solution.evaluation.cost) else solution
+
+
+def _place_cuts(choice: TranscriptionChoice, options: FitOptions) -> Cuts:
+    """Where the records are cut."""
+    if choice.transcription is Transcription.MULTIPLE:
+        return cut_by_growth(choice.problem)
+    return cut_in_seconds(choice.problem, options.arc_length)
+
+
+def evaluate_apart(
+    choice: TranscriptionChoice, options: FitOptions
+) -> tuple[Evaluation, tuple[np.ndarray, np.ndarray]]:
+    """The cost at the present point of segments that need not meet, each from its best first state, and the distances to the bounds."""
+    segmented = SegmentedProblem.of(choice.problem, _place_cuts(choice, options))
+    projected, pieces = estimate_segment_states(segmented), segmented.pieces
+    start = np.zeros(projected.size)
+    # The first states are eliminated where the search does so (`MultipleShooting`).
+    if pieces.is_plain_squares:
+        return projected.evaluate(start), projected.bounds()
+    variables = pieces.variables.recentre(projected.full(start))
+    return pieces.shooting(variables).evaluate(variables.here), variables.bounds()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,6 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import TIME_ROUNDING, TINY, Finding, ModelError, Severity, nearest
-from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.findings import RecordCode
 from greybox.data.noise import AutoRegression, GrowingNoise, NoiseModel, estimate_noise
@@ -58,14 +57,6 @@ class EstimationProblem:
     constant_outputs: tuple[str, ...] = ()
     policy: EstimationPolicy = DEFAULT_POLICY
     written_out: bool = False
-
-    def predict_cost(self, variables: DecisionVector) -> float:
-        """The cost that one step of the quadratic model promises from ``variables``; infinite where the model cannot be simulated there."""
-        e = self.shooting(variables).evaluate(variables.here)
-        if not (np.isfinite(e.cost) and e.is_finite and np.abs(e.hessian).max(initial=0.0) < OVERFLOWING_CURVATURE):
-            return math.inf
-        # c + g'z + z'H z / 2 at its least within the bounds.
-        return float(e.cost - e.predicted_decrease(*variables.bounds()))
 
     def shooting(self, variables: DecisionVector | None = None, share: float = 1.0) -> SingleShooting:
         """The cost of free runs over the first ``share`` of every record, for its own variables or others.

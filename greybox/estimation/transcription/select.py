@@ -62,7 +62,7 @@ def select_transcription(problem: EstimationProblem, options: FitOptions) -> Tra
         p,
         longest,
         policy=policy.transcription,
-        free_run=options.transcription == Transcription.SINGLE,
+        free_run=options.transcription == Transcription.SINGLE or options.arc_length > 0,
     )
     # One that goes on from a solution keeps the steps that were found there.
     if proposal.implicit and problem.method == options.method == "automatic" and not options.substeps:
@@ -154,7 +154,7 @@ def propose_transcription(
     policy
         The limits.
     free_run
-        Whether a free run was asked for, however errors grow; only its steps are to be chosen.
+        Whether a free run, or arcs, were asked for, however errors grow; only their steps are to be chosen.
     """
     jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
     duration = record.duration
