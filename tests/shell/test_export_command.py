@@ -104,7 +104,7 @@ def test_poles_zeros_gain_and_bandwidth_are_printed(saved, tmp_path):
         "--details",
     )
     assert done.exit_code == 0, done.output
-    for text in ("poles (z)", "u -> x: gain 2.9", "bandwidth (-3 dB)", "5 models drawn from the covariance", "x = 2.9"):
+    for text in ("poles (z)", "u -> x: gain 29.", "bandwidth (-3 dB)", "5 models drawn from the covariance", "x = 2.9"):
         assert text in done.output
     read = json.loads((tmp_path / "p.json").read_text())
     assert ExportFinding.FRICTION_LEFT_OUT in [f["code"] for f in read["findings"]]

@@ -170,14 +170,13 @@ TONES = {
 def describe_campaign(campaign: Campaign, *, command: str = "") -> Document:
     """What is said of a campaign; ``command`` is what was typed."""
     machine = campaign.plan.model.title
-    head = f"{machine}: campaign in {campaign.folder}, {campaign.status.replace('_', ' ')}"
-    count = wording.count_noun(len(campaign.steps), "experiment")
+    head = f"{machine}, {wording.count_noun(len(campaign.steps), 'experiment')}"
+    outcome = "; ".join(map(str, campaign.findings)) or f"{campaign.status.replace('_', ' ')} in {campaign.folder}"
     return Document(
         f"Campaign on {machine}",
-        f"{head}, {count}.",
+        f"{head}: {outcome}.",
         TONES[campaign.status],
         [_experiments(campaign)],
-        campaign.findings,
         question=f"Which effects does the rig of {machine} have, and how precisely are its parameters known?",
         sections=Later(_campaign_sections, campaign, command),
         kind="campaign",

@@ -290,11 +290,11 @@ def _starts(fit: Fit) -> Iterator[doc.Block]:
     """Where each start ended, best first: the waterfall, and its numbers."""
     yield doc.FigureBlock(figures.plot_starts(fit.starts))
     names, rows = list(fit.starts[0].start), []
-    for k, s in enumerate(fit.starts):
+    for k, (s, ratio) in enumerate(zip(fit.starts, figures.misfits_over_best(fit.starts), strict=True)):
         ends = (f" -> {s.values[name]:.3g}" if name in s.values else "" for name in names)
         moves = [f"{s.start[name]:.3g}{end}" for name, end in zip(names, ends, strict=True)]
-        rows.append([str(k + 1), wording.plain_number(s.noise_ratio), s.status.replace("_", " "), *moves])
-    yield doc.TableBlock("Start and end of each search", ["start", "misfit / noise", "ended", *names], rows)
+        rows.append([str(k + 1), wording.plain_number(ratio), s.status.replace("_", " "), *moves])
+    yield doc.TableBlock("Start and end of each search", ["start", "misfit / best misfit", "ended", *names], rows)
 
 
 def _interval_kind(fit: Fit) -> str:

@@ -408,9 +408,9 @@ def _signals(traces: list[Trace], fit: Fit) -> doc.TableBlock:
         for signal in signals:
             groups = [t.inputs if use == "input" else t.measured for t in traces]
             values = [np.asarray(g[signal.name]) for g in groups if signal.name in g]
-            std = fit.noise.std.get(signal.name) if use == "measured" else None
             factor, unit = scale_to_prefix(signal.unit, *values)
-            noise = f"{factor * std:.3g} {unit}" if std is not None and np.isfinite(std) else ""
+            misfit = fit.misfit.get(signal.name) if use == "measured" else None
+            noise = wording.noise_text(misfit) if misfit is not None else ""
             limits = f"{format_range(*values, factor=factor)} {unit}" if values else "not recorded"
             rows.append([signal.name, use, limits, noise])
     return doc.TableBlock("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)

@@ -261,19 +261,23 @@ def relative_half_width(e: Estimate) -> float | None:
     return 100 * (e.interval[1] - e.interval[0]) / 2 / abs(e.value) or None
 
 
+def misfits_over_best(starts: Sequence[StartResult]) -> list[float]:
+    """Misfit of each start over the least of all; that over the noise stands in the answer, output by output."""
+    least = min((s.noise_ratio for s in starts if math.isfinite(s.noise_ratio)), default=math.nan)
+    return [s.noise_ratio / least if least else s.noise_ratio for s in starts]
+
+
 def plot_starts(starts: Sequence[StartResult]) -> fig.Figure:
-    """The waterfall: misfit over noise at the end of each start, best first."""
-    known = [s.noise_ratio for s in starts if math.isfinite(s.noise_ratio)]
-    y = fig.Axis(
-        "misfit / noise", scale=fig.Scale.LOG if known and max(known) > 10 * min(known) > 0 else fig.Scale.LINEAR
-    )
+    """The waterfall: misfit at the end of each start over that of the best one, best first."""
+    known = [ratio for ratio in misfits_over_best(starts) if math.isfinite(ratio)]
+    y = fig.Axis("misfit / best misfit", scale=fig.Scale.LOG if known and max(known) > 10 else fig.Scale.LINEAR)
     marks = fig.Points(np.arange(1, len(known) + 1), np.array(known), fig.Role.RESIDUAL, joined=True)
     panel = fig.Panel("starts", (marks,), fig.Axis("start, best first"), y)
-    text = f"{len(known)} of {len(starts)} starts ended with a run; the best misfit over noise is {min(known, default=math.nan):.3g}"
+    text = f"{len(known)} of {len(starts)} starts ended with a run; the worst misfit is {max(known, default=math.nan):.3g} times the best"
     return fig.Figure(
         "starts",
         (panel,),
-        "Misfit over noise where each start ended: a level that several reach is no chance.",
+        "Misfit where each start ended, over that of the best one: a level that several reach is no chance.",
         (text,),
     )
 

@@ -9,7 +9,7 @@ from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.records import FREQUENCY
-from greybox.show.sentences.wording import value_with_unit
+from greybox.show.sentences.wording import choose_prefix, value_with_unit
 
 # Of a frequency response.
 DRAWING_FREQUENCIES = 500
@@ -41,10 +41,12 @@ def plot_bode(linear: Linearisation, family: ModelFamily | None) -> tuple[Figure
     for r, output in enumerate(linear.output_names):
         for c, name in enumerate(linear.input_names):
             channel, size = f"{name} → {output}", np.abs(response[:, r, c])
-            unit = typeset_unit(f"({linear.output_units[r] or '1'})/({linear.input_units[c] or '1'})")
+            factor, prefix = choose_prefix(linear.output_units[r], float(size.max()))
+            size *= factor
+            unit = prefix + typeset_unit(f"({linear.output_units[r] or '1'})/({linear.input_units[c] or '1'})")
             gain: list[Series] = [Curve(hertz, np.where(size > 0, size, np.nan), Role.SIMULATED, "gain", 1.4)]
             if bounds is not None:
-                low, high = (b[:, r, c] for b in bounds)
+                low, high = (factor * b[:, r, c] for b in bounds)
                 gain.insert(0, Area(hertz, low, high, label="95 % of the models"))
             angle = np.degrees(np.unwrap(np.angle(response[:, r, c])))
             phase = Curve(hertz, angle, Role.RESIDUAL, "phase", 1.4)

@@ -112,7 +112,7 @@ def _write_open(finding: Finding) -> str:
 def _write_misfit_ratio(finding: Finding) -> str:
     outliers = ", outliers excluded" if finding.values["without_outliers"] else ""
     ratio, least = finding.values["ratio"], finding.values.get("least_ratio")
-    size = f"{ratio:.3g}" if least is None else f"at least {least:.3g}"
+    size = f"{ratio:#.3g}".rstrip(".") if least is None else f"at least {least:.3g}"
     return f"misfit {size} times the noise in {finding.subject}{outliers}"
 
 

@@ -12,7 +12,7 @@ from greybox.base.numerics import VANISHED_POLE
 from greybox.estimation.linear.exported_model import ExportFinding
 from greybox.show.sentences import register, renders, writes
 from greybox.show.sentences.estimation import status_text
-from greybox.show.sentences.wording import percent_text, value_with_unit
+from greybox.show.sentences.wording import choose_prefix, percent_text, value_with_unit
 
 if TYPE_CHECKING:
     from greybox.estimation.linear.model_family import ModelFamily
@@ -203,7 +203,10 @@ def channel_lines(channel: TransferChannel) -> list[str]:
         f" {text}" if text != "1" else "" for text in map(format_unit, (f"({channel.unit}){per_second}", channel.unit))
     )
     kind = "integrator gain" if channel.integrators else "gain"
-    lines = [f"  {channel.input} -> {channel.output}: {kind} {channel.gain:.10g}{unit}"]
+    # In the unit of the output that suits the gain: 29.5 µm/V.
+    factor, prefix = choose_prefix(channel.unit.partition("/")[0].strip("()"), abs(channel.gain))
+    unit, own_unit = (f" {prefix}{text.strip()}" if prefix else text for text in (unit, own_unit))
+    lines = [f"  {channel.input} -> {channel.output}: {kind} {factor * channel.gain:.6g}{unit}"]
     lines.append("    zeros " + (", ".join(map(complex_text, channel.zeros)) or "none"))
     bandwidth, (frequency, gain) = channel.bandwidth, channel.peak
     if np.isfinite(bandwidth):
@@ -211,12 +214,12 @@ def channel_lines(channel: TransferChannel) -> list[str]:
     elif np.isinf(bandwidth):
         lines.append("    bandwidth: the gain never falls 3 dB below its static value")
     if np.isfinite(gain) and gain > 1.01 * abs(channel.gain):
-        lines.append(f"    largest gain {gain:.6g}{own_unit} at {frequency:.6g} rad/s")
+        lines.append(f"    largest gain {factor * gain:.6g}{own_unit} at {frequency:.6g} rad/s")
     return lines
 
 
 def complex_text(value: complex) -> str:
-    """``-25.6``, ``-25.6+767.98j`` with ten digits."""
+    """``-25.6``, ``-25.5869+767.985j`` with six digits."""
     if abs(value.imag) <= 1e-12 * abs(value):
-        return f"{value.real:.10g}"
-    return f"{value.real:.10g}{value.imag:+.10g}j"
+        return f"{value.real:.6g}"
+    return f"{value.real:.6g}{value.imag:+.6g}j"

@@ -106,6 +106,8 @@ def test_paper_shows_every_output_with_its_name_and_the_screen_is_as_before(page
     assert page.evaluate(names) == page.evaluate(axes) == ["x", "i"]
     again = "[...document.querySelectorAll('figure.again')].map(e => e.id)"
     assert len(page.evaluate(again)) == 1, "the run at the head of the page is not printed twice"
+    code = "[...document.querySelectorAll('details:has(pre)')].map(e => e.open)"
+    assert page.evaluate(code) and not any(page.evaluate(code)), "code to copy stays folded on paper"
     page.evaluate("window.dispatchEvent(new Event('afterprint'))")
     assert page.evaluate(names) == [] and page.evaluate(axes) == ["x"]
 

@@ -16,9 +16,10 @@ from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.localisation import RankedSite, ResidualLocalisation, ResidualSignal
 from greybox.estimation.errors import OutputRun
 from greybox.estimation.linear.linearise import linearise
+from greybox.estimation.result_parts import StartResult
 from greybox.show.figures.comparison import model_roles, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.show.figures.discovery import plot_effect_signal, plot_unexplained_signal
-from greybox.show.figures.fit import plot_intervals
+from greybox.show.figures.fit import misfits_over_best, plot_intervals, plot_starts
 from greybox.show.figures.linear import plot_bode, plot_poles, response_frequencies
 from greybox.show.figures.pictures import comparison_sheet
 from models.micro_actuator import micro_actuator
@@ -96,7 +97,9 @@ def test_gain_and_phase_are_those_of_the_linear_model() -> None:
     w = response_frequencies(linear)
     response = linear.frequency_response(w)[:, 0, 0]
     curve, angle = gain["u → x"].series[0], phase["u → x"].series[0]
-    np.testing.assert_allclose(curve.y, np.abs(response))
+    # In micrometres per volt, as the largest gain is 0.44 mm/V; a resistance is as it stands.
+    assert [p.y.unit for p in gain.panels] == ["µm/V", "mA/V"]
+    np.testing.assert_allclose(curve.y, 1e6 * np.abs(response))
     np.testing.assert_allclose(curve.x, w / (2 * np.pi))
     np.testing.assert_allclose(angle.y, np.degrees(np.unwrap(np.angle(response))))
     assert not any(isinstance(s, Area) for s in gain["u → x"].series)
@@ -165,3 +168,10 @@ def test_a_figure_of_the_missing_signal_tells_of_no_variable_that_explains_nothi
     signal = SimpleNamespace(site="force", unit="N", value=noise, variables={"x": x}, units={"x": "m"})
     figure = plot_unexplained_signal(SimpleNamespace(signal=signal, dependences=dependences))
     assert figure.description == ("The signal is a function of no single variable",)
+
+
+def test_starts_are_drawn_over_the_best_one() -> None:
+    starts = [StartResult({}, {}, ratio, "converged") for ratio in (52.4, 52.4, 131.0)]
+    assert misfits_over_best(starts) == pytest.approx([1.0, 1.0, 2.5])
+    (marks,) = plot_starts([*starts, StartResult({}, {}, np.inf, "failed")]).panels[0].series
+    assert list(marks.y) == pytest.approx([1.0, 1.0, 2.5])

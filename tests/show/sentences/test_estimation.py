@@ -52,7 +52,7 @@ GOLDEN = [
         "3 readings for 3 constants and first states: nothing is left that would tell the noise, so no interval can be given; tell the"
         " noise (--noise), or record more rows",
     ),
-    ("misfit_ratio", "x", {"ratio": 1.2, "without_outliers": False}, "misfit 1.2 times the noise in x"),
+    ("misfit_ratio", "x", {"ratio": 1.2, "without_outliers": False}, "misfit 1.20 times the noise in x"),
     (
         "misfit_ratio",
         "x",
@@ -63,7 +63,7 @@ GOLDEN = [
         "misfit_ratio",
         "x",
         {"ratio": 1.2, "without_outliers": True},
-        "misfit 1.2 times the noise in x, outliers excluded",
+        "misfit 1.20 times the noise in x, outliers excluded",
     ),
     (
         "prediction_ratio",
@@ -591,7 +591,7 @@ def test_every_code_of_a_fit_has_a_golden_text() -> None:
 
 def test_a_status_names_its_likely_causes_and_the_misfit() -> None:
     ratio = Finding("misfit_ratio", subject="x", values={"ratio": 1.0, "without_outliers": False})
-    assert str(SolverReport("converged", True, 1.0, details=(ratio,))) == "converged; misfit 1 times the noise in x"
+    assert str(SolverReport("converged", True, 1.0, details=(ratio,))) == "converged; misfit 1.00 times the noise in x"
     failure = Finding("filter_not_finite", values={"experiment": 1})
     assert str(SolverReport("no_start", False, float("inf"), details=(failure,))) == (
         "the model cannot be simulated from the start values. Likely causes, most likely first: (1) start values far from physical ones;"

@@ -229,7 +229,7 @@
   // On paper everything is light; folds are open but for those that hold figures, which are printed where the reader has opened them.
   let before = [];
   window.addEventListener("beforeprint", () => {
-    before = [root.dataset.theme === "dark", [...document.querySelectorAll("details:not([open]):not(.words):not(:has(figure))")], new Map()];
+    before = [root.dataset.theme === "dark", [...document.querySelectorAll("details:not([open]):not(.words):not(:has(figure, pre))")], new Map()];
     before[1].forEach((d) => (d.open = true));
     paper = true;
     for (const figure of figures) {
