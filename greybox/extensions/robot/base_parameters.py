@@ -95,15 +95,6 @@ class BaseParameters(ReadOnly):
             text += f" {'-' if factor < 0 else '+'} {size}{bracket}"
         return text
 
-    def lift(self, beta: np.ndarray) -> np.ndarray:
-        """Constants (10 L,) that give the combinations ``beta`` (B,), the description's where these leave a choice.
-
-        The torques are right; a link by itself may have constants that no body has.
-        """
-        theta = self.robot.inertial.copy()
-        theta[self.columns] += beta - self.values
-        return theta
-
 
 def name_constant(column: int) -> str:
     """``Izz2``: which constant of the link behind which joint, counted from 1."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -15,13 +15,13 @@ from scipy.spatial.transform import Rotation
 from greybox.base import DataError, ModelError, nearest
 from greybox.extensions.robot.description import (
     GRAVITY,
+    INERTIAL_NAMES,
     Body,
     Follows,
     Joint,
     JointKind,
     Robot,
     build_robot,
-    from_pseudo_inertia,
     move_inertial,
     move_joint,
     rotate_about,
@@ -113,13 +113,11 @@ def _unit(axis: np.ndarray, owner: str) -> np.ndarray:
     return np.asarray(axis / length)
 
 
-def _at_centre(mass: float, inertia: np.ndarray, owner: str) -> np.ndarray:
-    """The ten constants of a body about its centre of mass, of its inertia (3, 3) there. Raises ModelError for a negative mass."""
+def _at_centre(mass: float, inertia: Iterable[float], owner: str) -> np.ndarray:
+    """The ten constants of a body about its centre of mass, of the six of its inertia. Raises ModelError for a negative mass."""
     if mass < 0:
         raise ModelError(f"link {owner!r}: its mass {mass:g} kg is negative")
-    P = np.diag([0.0, 0.0, 0.0, mass])
-    P[:3, :3] = np.trace(inertia) / 2 * np.eye(3) - inertia
-    return from_pseudo_inertia(P)
+    return np.array([mass, 0.0, 0.0, 0.0, *inertia])
 
 
 # URDF (wiki.ros.org/urdf/XML).
@@ -228,10 +226,7 @@ def _urdf_inertial(link: Element, name: str) -> np.ndarray:
     mass = _number(element.find("mass"), "value", math.nan, name)
     if math.isnan(mass):
         raise ModelError(f"link {name!r}: its <inertial> has no <mass value=...>")
-    xx, xy, xz, yy, yz, zz = (
-        _number(element.find("inertia"), f"i{k}", 0.0, name) for k in ("xx", "xy", "xz", "yy", "yz", "zz")
-    )
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    inertia = (_number(element.find("inertia"), constant.lower(), 0.0, name) for constant in INERTIAL_NAMES[4:])
     return move_inertial(_at_centre(mass, inertia, name), to_pose(*_urdf_pose(element, name)))
 
 
@@ -368,10 +363,9 @@ class _MjcfReader:
             return np.zeros(10)
         if stated.get("fullinertia") is not None:
             xx, yy, zz, xy, xz, yz = _numbers(stated, "fullinertia", (0, 0, 0, 0, 0, 0), name)
-            inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         else:
-            inertia = np.diag(_numbers(stated, "diaginertia", (0, 0, 0), name))
-        centre = _at_centre(_number(stated, "mass", 0.0, name), inertia, name)
+            (xx, yy, zz), (xy, xz, yz) = _numbers(stated, "diaginertia", (0, 0, 0), name), (0.0, 0.0, 0.0)
+        centre = _at_centre(_number(stated, "mass", 0.0, name), (xx, xy, yy, xz, yz, zz), name)
         return move_inertial(centre, to_pose(self._rotation(stated, name), _numbers(stated, "pos", (0, 0, 0), name)))
 
     def _rotation(self, element: Element, owner: str) -> np.ndarray:

@@ -9,7 +9,6 @@ import pytest
 
 from greybox.extensions.robot import RigidBody, find_base_parameters, read_robot
 from tests.support.robots import (
-    CART_POLE,
     CENTRES,
     DOUBLE_PENDULUM,
     INERTIAS,
@@ -50,12 +49,3 @@ def test_there_are_as_many_as_are_published(name: str, held: tuple[str, ...], ra
     states = random_states(robot)
     Y = RigidBody(robot).compute_regressors(*states)
     np.testing.assert_allclose(Y[:, :, base.columns] @ base.values, Y @ robot.inertial, rtol=0, atol=1e-5)
-
-
-def test_constants_that_give_the_base_parameters_give_the_torques(tmp_path: Path) -> None:
-    robot = read_robot(write(tmp_path / "a.xml", CART_POLE))
-    base, states = find_base_parameters(robot), random_states(robot)
-    beta = base.values + np.random.default_rng(0).normal(size=len(base.values))
-    expected = RigidBody(robot).compute_regressors(*states)[:, :, base.columns] @ beta
-    torques = RigidBody(robot).compute_torques(*states, base.lift(beta))
-    np.testing.assert_allclose(torques, expected, rtol=0, atol=1e-10)
