@@ -17,7 +17,7 @@ from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.discovery.execution import NOT_SIMULATED, FailureLog, RefitExecutor, RefitJob, RefitOutcome, SearchStage
 from greybox.discovery.laws.terms import claimed_name, is_law
 from greybox.estimation.findings import locate_simulation_failure
-from greybox.estimation.noise_loop import predict_cost, solve
+from greybox.estimation.noise_loop import StartCost, solve
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result import Fit
@@ -515,5 +515,6 @@ def _promised_cost(solution: Solution) -> float:
 
 def _rank_starts(problem: EstimationProblem, starts: Sequence[StartValues], options: FitOptions) -> list[_Start]:
     """The starts from which the model can be simulated, most promising first: by the cost that one step promises."""
-    points = [(predict_cost(problem, v, options), v) for v in map(problem.variables.start_at, starts)]
+    start_cost = StartCost(problem, options)
+    points = [(start_cost.predict(v), v) for v in map(problem.variables.start_at, starts)]
     return sorted((point for point in points if np.isfinite(point[0])), key=lambda point: point[0])

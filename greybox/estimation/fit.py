@@ -47,10 +47,9 @@ from greybox.estimation.findings import (
     list_shared_noise,
 )
 from greybox.estimation.noise_loop import (
+    StartCost,
     estimate_by_simulation_error,
-    evaluate_start,
     keep_best,
-    predict_cost,
     summarise_outliers,
     to_huber,
 )
@@ -325,7 +324,8 @@ def _lengthen_delays(
     problem = prepare_problem(longer, experiments, result.noise.std, replace(options, loss="squares"))
     begins = [fitted | dict.fromkeys(names, rows * period) for rows in LONGER_DELAYS]
     variables = [problem.variables.with_values(begin) for begin in begins]
-    costs = [evaluate_start(problem, v, options)[0].cost for v in variables]
+    start_cost = StartCost(problem, options)
+    costs = [start_cost.evaluate(v)[0].cost for v in variables]
     return longer.start(**begins[int(np.nanargmin(costs))])
 
 
@@ -424,7 +424,7 @@ def _begin_with_effects(
     begun = prepare_problem(model, experiments, problem.noise, near, initial=initial)
     # By the cost that the search will have: segments of an unstable plant, where the model without them was fitted so.
     is_segmented = smaller.solution.transcription == Transcription.MULTIPLE
-    judged = replace(near, transcription=Transcription.MULTIPLE) if is_segmented else near
+    start_cost = StartCost(begun, replace(near, transcription=Transcription.MULTIPLE) if is_segmented else near)
     begins: list[dict[str, float]] = [fitted]
     searched = 0
     # One effect after the other, each beside the best of those before it.
@@ -435,7 +435,7 @@ def _begin_with_effects(
         if count <= MANY_SHAPES_STARTS:
             bases.append({**begins[0], **{q.name: q.value for q in plain.free_parameters}})
         more = [{**base, **value} for base in bases for value in values]
-        promised = (predict_cost(begun, begun.variables.start_at(begin), judged) for begin in more)
+        promised = (start_cost.predict(begun.variables.start_at(begin)) for begin in more)
         costs = {k: cost for k, cost in enumerate(promised) if np.isfinite(cost)}
         begins = [*(more[k] for k in sorted(costs, key=costs.__getitem__)), *begins]
     ends: list[SimulationOptimum] = []
@@ -621,13 +621,13 @@ def _try_other_starts(
     """
     model, loss = first.model, options.to_loss()
     # One run from each start, judged as its search will judge it: squares would tell how it follows the outliers.
-    judged = problem if loss is None else replace(problem, loss=to_huber(loss, options))
+    judged = StartCost(problem if loss is None else replace(problem, loss=to_huber(loss, options)), options)
 
     def compute_cost(begin: Mapping[str, float]) -> float:
         if held.requested:  # by Ctrl-C: no search follows, and what was found so far is kept
             return np.inf
         variables = problem.variables.with_values(begin)
-        return float(evaluate_start(judged, variables, options)[0].cost)
+        return float(judged.evaluate(variables)[0].cost)
 
     begins, ends = [{q.name: q.value for q in model.free_parameters}], [first]
     ratios = [compute_ratio(first.evaluation.cost, first.misfit, problem.noise)]

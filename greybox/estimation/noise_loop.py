@@ -27,9 +27,10 @@ from greybox.estimation.result_parts import RobustReport
 from greybox.estimation.sandwich import LEAST_LEVEL_READINGS, estimate_residual_colour
 from greybox.estimation.transcription.collocation import solve_collocation
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.multiple_shooting import evaluate_apart, solve_multiple_shooting
+from greybox.estimation.transcription.multiple_shooting import cut_records, evaluate_apart, solve_multiple_shooting
 from greybox.estimation.transcription.plant_search import SHARES, solve_plant
 from greybox.estimation.transcription.problem import Completion, EstimationProblem, FitProgressCallback, Runs, Solution
+from greybox.estimation.transcription.segments import Cuts
 from greybox.estimation.transcription.select import (
     TranscriptionChoice,
     select_transcription,
@@ -63,26 +64,38 @@ def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCa
     return keep_best(solution, problem.variables, options, report)
 
 
-def evaluate_start(
-    problem: EstimationProblem, variables: DecisionVector, options: FitOptions
-) -> tuple[Evaluation, tuple[np.ndarray, np.ndarray]]:
-    """What `solve` minimises at ``variables``, with the distances of its unknowns to their bounds.
+class StartCost:
+    """What starts of ``problem`` cost that `solve` minimises: of free runs, or of arcs or segments where ``options`` ask for these.
 
-    A free run of each record; where ``options`` ask for arcs or segments these, each from the first state that suits it best.
+    All starts have the same segments; the first state of each is searched for from where it was at the start before.
     """
-    begun = replace(problem, variables=variables)
-    if options.arc_length or options.transcription == Transcription.MULTIPLE:
-        return evaluate_apart(select_transcription(begun, options), options)
-    return begun.shooting().evaluate(variables.here), variables.bounds()
 
+    def __init__(self, problem: EstimationProblem, options: FitOptions) -> None:
+        self.problem, self.options = problem, options
+        self._cuts: Cuts = ()
+        self._states: np.ndarray | None = None
 
-def predict_cost(problem: EstimationProblem, variables: DecisionVector, options: FitOptions) -> float:
-    """The cost that one step of the quadratic model promises a search from ``variables``; infinite where nothing can be simulated there."""
-    e, (low, high) = evaluate_start(problem, variables, options)
-    if not (np.isfinite(e.cost) and e.is_finite and np.abs(e.hessian).max(initial=0.0) < OVERFLOWING_CURVATURE):
-        return np.inf
-    # c + g'z + z'H z / 2 at its least within the bounds.
-    return float(e.cost - e.predicted_decrease(low, high))
+    def evaluate(self, variables: DecisionVector) -> tuple[Evaluation, tuple[np.ndarray, np.ndarray]]:
+        """Cost and derivatives at a start, and the distances of its unknowns to their bounds."""
+        begun, options = replace(self.problem, variables=variables), self.options
+        if not options.arc_length and options.transcription != Transcription.MULTIPLE:
+            return begun.shooting().evaluate(variables.here), variables.bounds()
+        # Steps that a stiff start needs follow the others as well.
+        run_freely = replace(options, transcription=Transcription.SINGLE, arc_length=0.0)
+        self.problem = begun = select_transcription(begun, run_freely).problem
+        self._cuts = self._cuts or cut_records(begun, options)
+        evaluation, bounds, states = evaluate_apart(begun, self._cuts, self._states)
+        if np.isfinite(evaluation.cost):
+            self._states = states
+        return evaluation, bounds
+
+    def predict(self, variables: DecisionVector) -> float:
+        """The cost that one step of the quadratic model promises from a start; infinite where the model cannot be simulated there."""
+        e, (low, high) = self.evaluate(variables)
+        if not (np.isfinite(e.cost) and e.is_finite and np.abs(e.hessian).max(initial=0.0) < OVERFLOWING_CURVATURE):
+            return np.inf
+        # c + g'z + z'H z / 2 at its least within the bounds.
+        return float(e.cost - e.predicted_decrease(low, high))
 
 
 def _search(choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None) -> Solution:

@@ -7,7 +7,7 @@ import pytest
 import greybox as gb
 from greybox import Balance, FitOptions, Input, Model, Output, Parameter, State
 from greybox.estimation.fit import measure_fresh_effects
-from greybox.estimation.noise_loop import evaluate_start
+from greybox.estimation.noise_loop import StartCost
 from greybox.estimation.transcription.problem import prepare_problem
 
 PERIOD, NOISE, DAMPING, WEIGHT = 0.02, 1e-3, 0.5, 25.0
@@ -100,5 +100,9 @@ def test_a_start_costs_what_its_arcs_leave(known: bool) -> None:
             forced[k] = growth * forced[k - 1] + (growth - 1) / rate * gain * u[first + k - 1]
         errors, free = x[first : first + each] - forced, growth ** np.arange(each)
         expected += np.sum((errors - free * (free @ errors) / (free @ free)) ** 2) / 0.1**2
-    evaluation, _ = evaluate_start(problem, problem.variables, options)
+    starts = StartCost(problem, options)
+    away = problem.variables.with_values({"a": 2 * rate, "b": 0.5 * gain})
+    # From where another start left the first states it costs the same.
+    for variables in (problem.variables, away, problem.variables):
+        evaluation, _ = starts.evaluate(variables)
     assert evaluation.cost == pytest.approx(expected, rel=1e-6)

@@ -73,7 +73,7 @@ def solve_multiple_shooting(
             f"arcs of {length:g} s: the longest record lasts {longest:.6g} s, so no record would be divided; take shorter arcs, or leave"
             " arc_length out (shell: --arc-length)"
         )
-    cuts = _place_cuts(choice, options)
+    cuts = cut_records(choice.problem, options)
     search = _SegmentSearch(SegmentedProblem.of(choice.problem, cuts), continuity, options, report)
     solution = single_shooting.solve_with_refined_steps(
         choice.problem, search.solve, search.refine, options.policy.step_refinement
@@ -84,25 +84,31 @@ def solve_multiple_shooting(
     return replace(solution, joined=search.join()) if np.isfinite(solution.evaluation.cost) else solution
 
 
-def _place_cuts(choice: TranscriptionChoice, options: FitOptions) -> Cuts:
-    """Where the records are cut."""
-    if choice.transcription is Transcription.MULTIPLE:
-        return cut_by_growth(choice.problem)
-    return cut_in_seconds(choice.problem, options.arc_length)
+def cut_records(problem: EstimationProblem, options: FitOptions) -> Cuts:
+    """Where a search over arcs, or over segments that meet, cuts the records."""
+    return cut_in_seconds(problem, options.arc_length) if options.arc_length else cut_by_growth(problem)
 
 
 def evaluate_apart(
-    choice: TranscriptionChoice, options: FitOptions
-) -> tuple[Evaluation, tuple[np.ndarray, np.ndarray]]:
-    """The cost at the present point of segments that need not meet, each from its best first state, and the distances to the bounds."""
-    segmented = SegmentedProblem.of(choice.problem, _place_cuts(choice, options))
-    projected, pieces = estimate_segment_states(segmented), segmented.pieces
-    start = np.zeros(projected.size)
+    problem: EstimationProblem, cuts: Cuts, states: np.ndarray | None
+) -> tuple[Evaluation, tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """The cost at the present point of segments that need not meet, the distances to the bounds, and the first states (segments, nx).
+
+    These are the best ones; they are searched for from ``states`` on, or segment by segment.
+    """
+    segmented = SegmentedProblem.of(problem, cuts, states)
+    pieces = segmented.pieces
+    if states is None:
+        projected = estimate_segment_states(segmented)
+    else:
+        projected = eliminated_states.ProjectedShooting(pieces.with_plain_squares().shooting())
+    evaluation = projected.evaluate(np.zeros(projected.size))
+    first = np.concatenate([np.zeros(projected.size), projected.states.ravel()])
+    variables = pieces.variables.recentre(first)
     # The first states are eliminated where the search does so (`MultipleShooting`).
     if pieces.is_plain_squares:
-        return projected.evaluate(start), projected.bounds()
-    variables = pieces.variables.recentre(projected.full(start))
-    return pieces.shooting(variables).evaluate(variables.here), variables.bounds()
+        return evaluation, projected.bounds(), variables.initial.guess
+    return pieces.shooting(variables).evaluate(variables.here), variables.bounds(), variables.initial.guess
 
 
 @dataclass(frozen=True, kw_only=True)
