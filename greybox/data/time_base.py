@@ -368,10 +368,12 @@ def estimate_clock_offset(first: Samples, second: Samples) -> ClockOffset | None
 
 
 class _Edges(NamedTuple):
-    """Between which two stamps (M, 2) a signal jumps, and whether upwards."""
+    """Between which two stamps (M, 2) a signal jumps, whether upwards, and for how long (s) it moves on before and after: behind a filter
+    all come late, and nobody knows by how much."""
 
     bounds: np.ndarray
     up: np.ndarray
+    smear: float
 
 
 # Share of its range that a signal moves from one sample to the next when it jumps, and the least ratio of a jump to the noise between.
@@ -389,7 +391,9 @@ def _find_edges(samples: Samples) -> _Edges | None:
     if EDGE_CLEARNESS * float(np.sqrt(np.mean(between**2))) > float(np.abs(step[jumps]).min()):
         return None
     at = np.flatnonzero(jumps)
-    return _Edges(np.column_stack([samples.time[at], samples.time[at + 1]]), step[at] > 0)
+    bounds, up = np.column_stack([samples.time[at], samples.time[at + 1]]), step[at] > 0
+    beside = sum(np.maximum(step[np.clip(at + k, 0, len(step) - 1)] / step[at], 0) % 1 for k in (-1, 1))
+    return _Edges(bounds, up, float(np.mean(beside * np.diff(bounds, axis=1)[:, 0])))
 
 
 def _match_edges(first: _Edges, second: _Edges, coarse: float) -> ClockOffset | None:
@@ -433,7 +437,7 @@ def _match_edges(first: _Edges, second: _Edges, coarse: float) -> ClockOffset | 
     seen = float(residual @ residual) / max(len(j) - 2, 1) if len(j) >= LEAST_EDGES else 0.0
     # What samples of each clock leave open, less where the edges do not share it.
     of_clocks = [_error_of_mean(edges.bounds[k], edges.up[k]) for edges, k in ((first, i), (second, j))]
-    std = float(np.sqrt(max(sum(of_clocks), seen / len(j))))
+    std = float(np.sqrt(max(sum(of_clocks), seen / len(j)) + first.smear**2 + second.smear**2))
     return ClockOffset(offset, std, drift, middle, float(same.mean()))
 
 
@@ -444,7 +448,8 @@ LEAST_EDGES = 4
 def _error_of_mean(bounds: np.ndarray, up: np.ndarray) -> float:
     """Variance (s^2) of the mean time of edges between ``bounds`` (M, 2).
 
-    Edges at a period of whole samples lie at one place between two samples, so that their errors are one and do not average out.
+    Edges at a period of whole samples lie at one place between two samples, so that their errors are one and do not average out; nor do
+    those of the two edges of a pulse that lasts whole samples.
     """
     middles, variance = bounds.mean(axis=1), float(np.mean(np.diff(bounds, axis=1) ** 2)) / 12
     scatters = []
@@ -454,7 +459,9 @@ def _error_of_mean(bounds: np.ndarray, up: np.ndarray) -> float:
             line = np.polynomial.Polynomial.fit(period, times, 1)
             scatters.append(float(np.mean((times - line(period)) ** 2)))
     are_independent = bool(scatters) and min(scatters) > LEAST_SCATTER * variance
-    return variance / len(middles) if are_independent else variance
+    lengths = [np.diff(middles)[starts] for starts in (up[:-1], ~up[:-1])]
+    are_pairs = any(len(each) > 1 and np.var(each) < LEAST_SCATTER * variance for each in lengths)
+    return variance / (max(up.sum(), (~up).sum()) if are_pairs else len(up)) if are_independent else variance
 
 
 # Share of the variance that samples allow from which edges of one period lie at places of their own between the samples.

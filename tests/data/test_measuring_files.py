@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import greybox as gb
 from greybox.base.errors import DataError
@@ -389,6 +390,11 @@ def test_electrical_signals_are_the_likely_inputs_where_no_name_says_so(tmp_path
     assert "input" not in {s.use for s in survey_file(tmp_path / "speeds.csv").signals}
 
 
+def _one_pole(values: np.ndarray, lag: float) -> np.ndarray:
+    """What a filter of ``lag`` steps leaves of ``values`` (N,)."""
+    return lfilter([1 - np.exp(-1 / lag)], [1, -np.exp(-1 / lag)], values)
+
+
 def _two_clocks(seed: int, kind: str, drift: float) -> tuple[float, float, float, float]:
     """Error of the offset, its stated standard deviation, the drift found, and the largest error over the record: two clocks of which the
     second reads ``t - 0.237 s`` and loses ``drift``, each of which samples one signal at its own rate and phase."""
@@ -396,7 +402,11 @@ def _two_clocks(seed: int, kind: str, drift: float) -> tuple[float, float, float
     first, second = (np.arange(0, 20, step) + random.uniform(0, step) for step in (1e-3, 2.5e-3))
     truth = second + 0.237 + drift * (second - second.mean())
     edges = (
-        np.sort(random.uniform(1, 19, 40)) if kind == "trigger" else 1 + random.uniform(0, 0.01) + 0.5 * np.arange(30)
+        np.sort(random.uniform(1, 19, 40))
+        if kind in ("trigger", "behind a filter")
+        else np.add.outer(np.cumsum(random.uniform(0.4, 1.1, 24)), [0, 0.1]).ravel()
+        if kind == "pulses of one length"
+        else 1 + random.uniform(0, 0.01) + 0.5 * np.arange(30)
     )
     frequency, phase = 2 * np.pi * random.uniform(0.5, 5, 6), random.uniform(0, 6, 6)
 
@@ -407,6 +417,9 @@ def _two_clocks(seed: int, kind: str, drift: float) -> tuple[float, float, float
 
     noise = 0.05
     a, b = (signal(t) + noise * random.standard_normal(len(t)) for t in (first, truth))
+    if kind == "behind a filter":  # of 2 ms, before the second clock
+        fine = np.arange(truth[0] - 0.1, truth[-1], 1e-4)
+        b = np.interp(truth, fine, _one_pole(signal(fine), 20)) + noise * random.standard_normal(len(truth))
     offset = estimate_clock_offset(Samples(first, a), Samples(second, b))
     assert offset is not None
     at = offset.middle
@@ -414,7 +427,9 @@ def _two_clocks(seed: int, kind: str, drift: float) -> tuple[float, float, float
     return offset.offset - right, offset.std, offset.drift, float(np.abs(offset.correct(second) - truth).max())
 
 
-@pytest.mark.parametrize("kind", ["trigger", "pulses of whole samples", "shared"])
+@pytest.mark.parametrize(
+    "kind", ["trigger", "pulses of whole samples", "pulses of one length", "behind a filter", "shared"]
+)
 @pytest.mark.parametrize("drift", [8e-4, 0.0, -8e-4])
 def test_the_uncertainty_of_a_clock_is_that_of_its_truth(kind: str, drift: float) -> None:
     errors, stated, drifts, largest = np.array([_two_clocks(seed, kind, drift) for seed in range(100, 140)]).T

@@ -97,7 +97,7 @@ def _clock_offset(finding: Finding) -> str:
     v = finding.values
     # A drift above zero is added to its stamps: they fall behind.
     course = "loses" if v["drift"] > 0 else "gains"
-    drift = f", and {course} {1e6 * abs(v['drift']):.3g} us every second" if v["drift"] else ""
+    drift = f", and {course} {1e6 * abs(v['drift']):.3g} us every second" if v["drift"] else ", both taken to run alike"
     return (
         f"clock {finding.subject!r} is {abs(v['offset']):.6g} s {'behind' if v['offset'] > 0 else 'ahead of'} clock"
         f" {v['reference']!r} (standard deviation {v['std']:.2g} s{drift}), as {v['signal']!r} on both shows; its stamps are corrected"
