@@ -22,7 +22,15 @@ from greybox.show.figures.records import plot_inputs, plot_outputs
 from greybox.show.sentences import sentence
 from greybox.show.sentences.identifiability import describe_inputs, describe_verdict
 from greybox.show.sentences.model import shorten_reason, write_places, write_units
-from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, percent_text, record_text
+from greybox.show.sentences.wording import (
+    capitalise,
+    count_noun,
+    format_number,
+    join_names,
+    percent_text,
+    quantity_text,
+    record_text,
+)
 
 if TYPE_CHECKING:
     from greybox.model.effects import EffectListing
@@ -265,7 +273,7 @@ def _about_record(finding: Finding) -> str:
 def _noise(check: ModelCheck) -> str:
     """How large the noise is, where it is known from, and which outputs are left out."""
     units = {o.name: o.unit for o in check.model.outputs}
-    sizes = ", ".join(f"{name} {format_number(std, 3)} {units[name]}".rstrip() for name, std in check.noise.items())
+    sizes = ", ".join(f"{name} {quantity_text(std, units[name])}" for name, std in check.noise.items())
     return "; ".join([sizes, *map(str, (check.noise_model, *check.excluded))])
 
 

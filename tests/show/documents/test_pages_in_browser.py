@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.base.document import CodeBlock, Details, FigureBlock, Paragraphs, Section
+from greybox.base.figure import Axis, Curve, Figure, Panel, Role
 from greybox.comparison.compare import compare
 from greybox.estimation.check import check
 from greybox.show import describe_page
@@ -106,10 +109,29 @@ def test_paper_shows_every_output_with_its_name_and_the_screen_is_as_before(page
     assert page.evaluate(names) == page.evaluate(axes) == ["x", "i"]
     again = "[...document.querySelectorAll('figure.again')].map(e => e.id)"
     assert len(page.evaluate(again)) == 1, "the run at the head of the page is not printed twice"
-    code = "[...document.querySelectorAll('details:has(pre)')].map(e => e.open)"
-    assert page.evaluate(code) and not any(page.evaluate(code)), "code to copy stays folded on paper"
     page.evaluate("window.dispatchEvent(new Event('afterprint'))")
     assert page.evaluate(names) == [] and page.evaluate(axes) == ["x"]
+
+
+def test_long_names_of_many_curves_are_whole_on_paper_and_phones_and_code_stays_folded(tab, good_fit, tmp_path):
+    time = np.linspace(0.0, 1.0, 50)
+    curves = [Curve(time, time**k, Role.SIMULATED, f"model {k} with an effect of a long name") for k in range(1, 10)]
+    figure = FigureBlock(Figure("many", (Panel("x", tuple(curves), Axis("time", "s"), Axis("x", "m")),), "Many."))
+    folds = [Details("Code", [CodeBlock("a = 1")]), Details("Words", [Paragraphs(["Something."])])]
+    document = replace(describe_page(good_fit), evidence=[], sections=[Section("all", "All", [*folds, figure])])
+    path = write_page(document, tmp_path / "many.html")
+    # A legend that hides names is drawn less high than it is.
+    whole = (
+        "(legend => legend._height <= legend._effHeight + 1)(document.querySelector('#many .plot')._fullLayout.legend)"
+    )
+    tab.set_viewport_size({"width": 390, "height": 800})
+    with opened(tab, path) as page:
+        assert page.evaluate(whole)
+    tab.set_viewport_size({"width": 1280, "height": 720})
+    with opened(tab, path) as page:
+        page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        assert page.evaluate(whole)
+        assert page.evaluate("[...document.querySelectorAll('details:not(.words)')].map(e => e.open)") == [False, True]
 
 
 @pytest.mark.rest

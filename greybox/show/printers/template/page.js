@@ -42,6 +42,12 @@
     const middle = blanks.reduce((best, k) => (Math.abs(k - text.length / 2) < Math.abs(best - text.length / 2) ? k : best));
     return `${text.slice(0, middle)}<br>${text.slice(middle + 1)}`;
   };
+  // A legend has at most half of a figure's height, and hides the names beyond: a figure with many or long names is as high as they need.
+  const roomFor = (figure, height, width) => {
+    const names = new Set(figure.data.filter((trace) => trace.showlegend && trace.name).map((trace) => trace.name));
+    const columns = Math.max(1, Math.floor(width / (50 + 7 * Math.max(0, ...[...names].map((name) => name.length)))));
+    return `${Math.max(height, 2 * (20 * Math.ceil(names.size / columns) + 12))}px`;
+  };
   const styled = (figure, chosen = figure.shown) => {
     const axis = { gridcolor: colour("--line"), zerolinecolor: colour("--line"), linecolor: colour("--line"), automargin: true };
     const own = painted(figure.views[chosen].layout);
@@ -180,6 +186,7 @@
     figures.forEach(draw);
   };
 
+  if (narrow()) figures.forEach((figure) => (figure.plot.style.height = roomFor(figure, parseFloat(figure.plot.style.height), window.innerWidth - 80)));
   const preferred = window.matchMedia("(prefers-color-scheme: dark)");
   dress(preferred.matches);
   preferred.addEventListener("change", (event) => dress(event.matches));
@@ -229,14 +236,14 @@
   // On paper everything is light; folds are open but for those that hold figures, which are printed where the reader has opened them.
   let before = [];
   window.addEventListener("beforeprint", () => {
-    before = [root.dataset.theme === "dark", [...document.querySelectorAll("details:not([open]):not(.words):not(:has(figure, pre))")], new Map()];
+    before = [root.dataset.theme === "dark", [...document.querySelectorAll("details:not([open]):not(.words):not(:has(figure, > .code))")], new Map()];
     before[1].forEach((d) => (d.open = true));
     paper = true;
     for (const figure of figures) {
       // What the page shows at its head is not printed again, and two figures beside one another are less high.
       figure.element.classList.toggle("again", figure.element.id !== "evidence" && caption(figure.element) === caption(document.getElementById("evidence")));
       before[2].set(figure, figure.plot.style.height);
-      if (figure.element.id !== "evidence") figure.plot.style.height = `${PAPER_HEIGHT * parseFloat(figure.plot.style.height)}px`;
+      if (figure.element.id !== "evidence") figure.plot.style.height = roomFor(figure, PAPER_HEIGHT * parseFloat(figure.plot.style.height), HALF - 80);
     }
     dress(false);
     figures.forEach(spread);
