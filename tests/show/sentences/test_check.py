@@ -26,7 +26,7 @@ def lines():
     "line",
     [
         "units           every term has the unit of its balance",
-        "noise           x 2e-07 m, i 0.005 A; given",
+        "noise           x 200 nm, i 5 mA; given",
         "input           u: persistently exciting of order 40 or more, band up to 5.03e+03 rad/s",
         "identifiability from any record: from u to x, i, 6 combinations of the 7 free parameters can be determined, 1 direction"
         " stays open",
