@@ -85,7 +85,8 @@ def _draw_cells(sheet: Sheet) -> Picture:
     for cell in sheet.cells:
         axes = picture.add_subplot(grid[cell.row : cell.row + cell.rows, cell.column])
         share = sheet.widths[cell.column] / sum(sheet.widths)
-        _draw_panel(axes, cell, _letters(sheet.size[0] * share, NAME_SIZE))
+        high = sum(sheet.heights[cell.row : cell.row + cell.rows]) / sum(sheet.heights)
+        _draw_panel(axes, cell, *(_letters(side, NAME_SIZE) for side in (sheet.size[0] * share, sheet.size[1] * high)))
         handles, labels = axes.get_legend_handles_labels()
         drawn = dict(zip(labels, handles, strict=True))
         entries |= {label: drawn[label] for label in cell.panel.labels if label in drawn and label not in entries}
@@ -103,11 +104,11 @@ def _draw_cells(sheet: Sheet) -> Picture:
 
 
 def _letters(width: float, size: float) -> int:
-    """Letters of so many points that find room above a panel of so many inches, with its axis."""
+    """Letters of so many points that find room along a panel of so many inches, with its axis."""
     return max(int((width - BESIDE_PANEL) * 72 / (LETTER_WIDTH * size)), 10)
 
 
-def _draw_panel(axes: Axes, cell: Cell, letters: int) -> None:
+def _draw_panel(axes: Axes, cell: Cell, letters: int, upward: int) -> None:
     panel = cell.panel if cell.window is None else cell.panel.between(*cell.window)
     axes.set_xscale("log" if panel.x.scale is fig.Scale.LOG else "linear")
     axes.set_yscale("log" if panel.y.scale is fig.Scale.LOG else "linear")
@@ -119,6 +120,9 @@ def _draw_panel(axes: Axes, cell: Cell, letters: int) -> None:
         axes.set_aspect("equal", adjustable="datalim")
     _set_up(axes.xaxis, axes.set_xlim, panel.x, panel.columns)
     _set_up(axes.yaxis, axes.set_ylim, panel.y, panel.categories)
+    # A unit is not broken: fill breaks at no space that holds its neighbours together.
+    name, bracket, unit = panel.y.label.partition("[")
+    axes.set_ylabel(fill(name + bracket + unit.replace(" ", "\u00a0"), upward), fontsize=NAME_SIZE)
     axes.grid(axis="x" if panel.categories else "both", alpha=GRID_OPACITY, lw=GRID_WIDTH)
     axes.set_axisbelow(True)
     if cell.above_another:
@@ -219,7 +223,8 @@ def _draw_points(axes: Axes, points: fig.Points, panel: fig.Panel) -> None:
         label=points.label or None,
     )
     for place, text in zip(zip(x, y, strict=True), points.texts, strict=bool(points.texts)):
-        axes.annotate(f"  {text}", place, va="center", fontsize=NUMBER_SIZE)
+        # Beside the largest marker, which another series may have put there.
+        axes.annotate(f"    {text}", place, va="center", fontsize=NUMBER_SIZE)
 
 
 def _draw_bars(axes: Axes, bars: fig.Bars, panel: fig.Panel) -> None:

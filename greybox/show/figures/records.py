@@ -262,13 +262,18 @@ CLOSER_LOOK = 200
 
 
 def liveliest_window(time: np.ndarray, values: np.ndarray) -> tuple[float, float] | None:
-    """From when to when ``values`` (N,) lie furthest from their mean, for a closer look; None where the record is short."""
+    """From when to when ``values`` (N,) vary most, for a closer look; None where the record is short."""
     rows = CLOSER_LOOK
     if len(time) <= 2 * rows:
         return None
-    deviation = np.abs(np.where(np.isfinite(values), values, np.nan) - np.nanmean(values))
-    middle = int(np.nanargmax(deviation))
-    first = min(max(0, middle - rows // 2), len(time) - rows)
+    known = np.isfinite(values)
+    centred = np.where(known, values - np.mean(values[known]), 0.0)
+    # Sum of squares about the mean of each window (N - rows + 1,), by running sums.
+    total, squares = (np.convolve(v, np.ones(rows), "valid") for v in (centred, centred**2))
+    spread = squares - total**2 / rows
+    # A single peak is in the middle of what is shown.
+    most = np.flatnonzero(spread >= (1 - 1e-9) * spread.max())
+    first = int(most[(len(most) - 1) // 2])
     return float(time[first]), float(time[first + rows - 1])
 
 

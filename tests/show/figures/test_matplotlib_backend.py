@@ -178,3 +178,14 @@ def test_names_stand_below_the_points_of_a_horizontal_axis_of_names() -> None:
     (axes,) = draw_sheet(sheet(panel)).axes
     assert [t.get_text() for t in axes.get_xticklabels()] == ["K", "B"]
     assert axes.lines[-1].get_xdata().tolist() == [1.0]
+
+
+def test_a_name_along_an_axis_is_no_longer_than_its_panel() -> None:
+    name = "missing at the balance substrate in the second reactor"
+    panel = Panel("long", (curve([0.0, 1.0], [0.0, 1.0]),), Axis("time", "s"), Axis(name, "mmol/(L s)"))
+    drawn = draw_sheet(Sheet("test", (Cell(panel, 0),), "", (5.6, 3.6)))
+    drawn.draw_without_rendering()
+    (axes,) = drawn.axes
+    label = axes.yaxis.label
+    assert label.get_text().replace("\n", " ") == f"{name} [mmol/(L\u00a0s)]"
+    assert label.get_window_extent().height <= axes.get_window_extent().height

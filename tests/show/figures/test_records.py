@@ -102,13 +102,16 @@ def test_an_input_that_is_held_between_samples_is_drawn_as_steps(hold: str, shap
     assert to_plotly(figure, 100).traces[0]["line"].get("shape") == shape
 
 
-def test_the_closer_look_is_where_the_record_lies_furthest_from_its_mean() -> None:
+def test_the_closer_look_is_where_the_record_varies_most() -> None:
     time = np.arange(1000.0)
     values = np.zeros(1000)
     values[700] = -9.0
     assert liveliest_window(time, values) == (600.0, 799.0)
     values[5] = 20.0
-    assert liveliest_window(time, values) == (0.0, 199.0)
+    assert liveliest_window(time, values) == (2.0, 201.0)
+    # A step, and not the stretch at rest that lies further from the mean.
+    step = np.where(time < 300, 0.0, 1.0)
+    assert liveliest_window(time, step) == (200.0, 399.0)
     assert liveliest_window(time[:400], values[:400]) is None
 
 
