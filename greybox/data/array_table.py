@@ -11,12 +11,11 @@ import numpy as np
 
 from greybox.base import DataError, Finding, shorten
 from greybox.data.columns import (
-    DECIMAL_COMMA,
-    THOUSANDS,
     check_size,
     check_width,
     describe_non_numbers,
     describe_wrong_count,
+    find_decimal_signs,
     is_gap,
 )
 from greybox.data.policy import READING_POLICY, ReadingPolicy
@@ -73,6 +72,8 @@ class ArrayTable:
         How much may be loaded.
     findings
         What is to be said of the file.
+    signs
+        Decimal signs that its texts show, beside those of the columns that are loaded.
     """
 
     infos: Mapping[str, ArrayInfo]
@@ -80,6 +81,7 @@ class ArrayTable:
     columns: tuple[ArrayColumn, ...]
     policy: ReadingPolicy = field(default=READING_POLICY, repr=False)
     findings: tuple[Finding, ...] = ()
+    signs: frozenset[str] = frozenset()
     headless = False
     header_line = 1
 
@@ -159,8 +161,12 @@ class ArrayTable:
         names = list(dict.fromkeys(column.array for column in wanted.values()))
         check_size(sum(int(np.prod(self.infos[name].shape, dtype=object)) for name in names), 1, self.policy)
         arrays = self.load(names)
+        signs = self.signs.union(
+            *(find_decimal_signs(_list_texts(a)) for a in arrays.values() if not isinstance(a, Stamps))
+        )
         columns = {
-            k: _to_column(column, arrays[column.array], self.row_labels, problems) for k, column in wanted.items()
+            k: _to_column(column, arrays[column.array], self.row_labels, problems, signs)
+            for k, column in wanted.items()
         }
         rows = {len(values) for values in columns.values()}
         if not problems and len(rows) > 1:
@@ -170,7 +176,7 @@ class ArrayTable:
 
 
 def _to_column(
-    column: ArrayColumn, array: np.ndarray | Stamps, labels: RowLabels, problems: list[str]
+    column: ArrayColumn, array: np.ndarray | Stamps, labels: RowLabels, problems: list[str], signs: frozenset[str]
 ) -> np.ndarray | Stamps:
     header = shorten(column.header)
     if isinstance(array, Stamps):
@@ -193,18 +199,20 @@ def _to_column(
             return reader.finish()
         problems.append(describe_non_numbers(header, bad, [str(array[k])[:200] for k in bad[:5]], labels))
     elif array.dtype.kind in "OUS":
-        values = read_cells(array)
+        values = read_cells(array, signs)
         if None in values:
-            problems.append(describe_cells(header, array, labels))
+            problems.append(describe_cells(header, array, labels, signs))
         return np.array(values, dtype=np.float64)  # None becomes NaN
     else:
         problems.append(f"column {header!r} holds {array.dtype}, not real numbers; write numbers (time in seconds)")
     return np.zeros(0)
 
 
-def describe_cells(header: str, cells: Sequence[Any] | np.ndarray, labels: RowLabels) -> str:
-    """Message for ``cells`` (N,) of which some are no number."""
-    bad = [k for k, value in enumerate(read_cells(cells)) if value is None]
+def describe_cells(
+    header: str, cells: Sequence[Any] | np.ndarray, labels: RowLabels, signs: frozenset[str] = frozenset()
+) -> str:
+    """Message for ``cells`` (N,) of which some are no number; ``signs`` as of `read_cells`."""
+    bad = [k for k, value in enumerate(read_cells(cells, signs)) if value is None]
     return describe_non_numbers(header, bad, [str(cells[k])[:200] for k in bad[:5]], labels)
 
 
@@ -212,22 +220,31 @@ def describe_cells(header: str, cells: Sequence[Any] | np.ndarray, labels: RowLa
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
 
-def read_cells(cells: Sequence[Any] | np.ndarray) -> list[float | None]:
+def _list_texts(cells: Sequence[Any] | np.ndarray) -> list[str]:
+    is_numeric = isinstance(cells, np.ndarray) and (cells.ndim != 1 or cells.dtype.kind not in "OUS")
+    return [] if is_numeric else [cell for cell in cells if isinstance(cell, str)]
+
+
+def read_cells(cells: Sequence[Any] | np.ndarray, signs: frozenset[str] = frozenset()) -> list[float | None]:
     """The numbers of a column, also of those that are kept as text: NaN for an empty cell, None for anything else.
 
-    A comma is a decimal one where no cell has a point, and some cell shows that it does not stand between thousands.
+    The decimal sign is the one that the column shows, else the one of ``signs``, which the rest of the table shows, else a point.
+    Where the rest shows both, a mark that may stand between thousands is refused.
     """
-    texts = [cell.strip() for cell in cells if isinstance(cell, str)]
-    with_comma = [text for text in texts if "," in text]
-    is_decimal = not all(map(THOUSANDS.fullmatch, with_comma)) and not any("." in text for text in texts)
+    of_column = find_decimal_signs(_list_texts(cells))
+    # Where a column shows both, its commas are what is to be corrected.
+    decimal = (of_column if len(of_column) < 2 else frozenset(".")) or signs or frozenset(".")
 
     def read(cell: Any) -> float | None:
         if cell is None:
             return float("nan")
         if isinstance(cell, str):
             text = cell.strip()
-            text = text.replace(",", ".") if is_decimal and DECIMAL_COMMA.fullmatch(text) else text
-            return float("nan") if is_gap(text) else float(text) if _NUMBER.fullmatch(text) else None
+            if is_gap(text):
+                return float("nan")
+            is_clear = all(decimal == {mark} for mark in ".," if mark in text)
+            text = text.replace(",", ".")
+            return float(text) if is_clear and _NUMBER.fullmatch(text) else None
         return float(cell) if isinstance(cell, (int, float, np.number)) and not isinstance(cell, complex) else None
 
     return [read(cell) for cell in cells]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Protocol
@@ -27,7 +27,15 @@ from greybox.model import Model
 
 _DATE = re.compile(r"\d+[-/.]\d+[-/.]\d+|\d+:\d\d")
 DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
-THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d+)?")
+THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([,.' ]\d{3})+([.,]\d+)?")
+_MARKED = re.compile(r"[+-]?(?=[.,]?\d)\d*([.,])\d*(e[+-]?\d+)?", re.IGNORECASE)
+WITHOUT_MARKS = "the number without marks between its thousands"
+
+
+def find_decimal_signs(texts: Iterable[str]) -> frozenset[str]:
+    """The decimal signs, comma or point, that the fields of a table show: marks that cannot stand between thousands."""
+    marks = ((_MARKED.fullmatch(text.strip()), text.strip()) for text in texts)
+    return frozenset(mark[1] for mark, text in marks if mark and not THOUSANDS.fullmatch(text))
 
 
 TableColumn = np.ndarray | Stamps
@@ -128,13 +136,14 @@ def describe_non_numbers(
 
 def _suggest_number_format(texts: Sequence[str], separator: str) -> str:
     first = texts[0].strip() if len(texts) else ""
-    if _DATE.search(first):
-        return "write every row of a column of dates alike, as in 2024-03-31 13:30:00.25 or 31.03.2024 13:30, or seconds from the start"
+    is_marked = THOUSANDS.fullmatch(first) is not None
     if DECIMAL_COMMA.fullmatch(first):
         between = ", or ';' between the columns and no quotation marks" if separator == "," else " in all rows"
-        return f"write decimal points{between}"
-    if THOUSANDS.fullmatch(first):
-        return "write the number without marks between its thousands"
+        return f"write decimal points{between}{f', and {WITHOUT_MARKS}' if is_marked else ''}"
+    if is_marked:
+        return f"write {WITHOUT_MARKS}"
+    if _DATE.search(first):
+        return "write every row of a column of dates alike, as in 2024-03-31 13:30:00.25 or 31.03.2024 13:30, or seconds from the start"
     return "correct it, or leave the field empty if nothing was measured"
 
 

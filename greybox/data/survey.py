@@ -25,7 +25,7 @@ from greybox.base import (
     parse_unit,
 )
 from greybox.data import array_table, channels, file_kinds, policy, sampling, sensor_faults
-from greybox.data.columns import find_dated_time, find_likely_unit, find_stamp_unit, measure_step
+from greybox.data.columns import WITHOUT_MARKS, find_dated_time, find_likely_unit, find_stamp_unit, measure_step
 from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME, Column, UnitSource, parse_header, read_endings, read_time
 from greybox.data.notation import COUNT, converts, read_conversion, read_notation
@@ -202,10 +202,14 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, rena
                 stamps[k] = values.stamps[k]
             elif not values.problems:
                 arrays[k] = values.arrays[k]
-            elif (count := int(np.isfinite(values.arrays[k]).sum())) > len(values.arrays[k]) / 2:
-                # Numbers with some text among them: shown for what they are, and not passed over as remarks.
-                arrays[k] = values.arrays[k]
-                about = {"count": count, "rows": len(arrays[k]), "reason": values.problems[0]}
+            else:
+                count, rows = int(np.isfinite(values.arrays[k]).sum()), len(values.arrays[k])
+                # Numbers with some text or marks among them: shown for what they are, and not passed over as remarks.
+                if count > rows / 2:
+                    arrays[k] = values.arrays[k]
+                elif WITHOUT_MARKS not in values.problems[0]:
+                    continue
+                about = {"count": count, "rows": rows, "reason": values.problems[0]}
                 findings.append(Finding(RecordCode.COLUMN_WITH_TEXT, Severity.WARNING, columns[k].header, about))
     rows = max((len(a) for a in arrays.values()), default=0)
     time: np.ndarray | None = None

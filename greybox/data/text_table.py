@@ -18,7 +18,15 @@ from pathlib import Path
 import numpy as np
 
 from greybox.base import DataError, shorten
-from greybox.data.columns import GAPS, check_size, check_width, describe_non_numbers, describe_wrong_count, is_gap
+from greybox.data.columns import (
+    GAPS,
+    check_size,
+    check_width,
+    describe_non_numbers,
+    describe_wrong_count,
+    find_decimal_signs,
+    is_gap,
+)
 from greybox.data.headers import join_units
 from greybox.data.notation import is_notation
 from greybox.data.policy import READING_POLICY, ReadingPolicy
@@ -226,6 +234,9 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
             name or (f"column {k}" if text else "")
             for k, (name, text) in enumerate(zip(headers, first_row, strict=True), 1)
         ]
+    # Fields of all columns say it, where those that are wanted may not.
+    signs = find_decimal_signs(text for line in first[skipped:] for text in split_line(line, separator))
+    has_comma, has_point = has_comma and signs != {"."}, has_point and signs != {","}
     dated = {k: ":" in text for k, text in enumerate(first_row) if is_stamp(text)}
     labels = RowLabels("line", rows[skipped:])
     has_header_line = skipped > 0 and int(rows[skipped - 1]) == header_line

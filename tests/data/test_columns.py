@@ -331,6 +331,61 @@ def test_a_percent_format_is_seen_however_late_its_numbers_begin(tmp_path, empty
     assert read_arrays(tmp_path / "run.xlsx", model).outputs["u"][-1] == pytest.approx(25)
 
 
+# Fields of time, u and x, and what a reader makes of them: u (V), or the fields that are refused and why.
+DECIMAL_SIGNS = {
+    "points between thousands": (
+        ("0,5", "1.250", "0,1"),
+        ("1,5", "1.251", "0,2"),
+        "'1.250', '1.251' are not numbers; write {w}",
+    ),
+    "points beside whole numbers": (
+        ("0,5", "950", "0,1"),
+        ("1,5", "1.050", "0,2"),
+        "'1.050' is not a number; write {w}",
+    ),
+    "points and decimal commas": (("0", "950,6", "1"), ("1", "1.050,3", "2"), "'1.050,3' is not a number; write {w}"),
+    "in all rows": (("0", "1.050,6", "1"), ("1", "1.050,3", "2"), "'1.050,6', '1.050,3' are not numbers; write {w}"),
+    "commas between thousands": (
+        ("0.5", "1,250", "0.1"),
+        ("1.5", "950", "0.2"),
+        "write decimal points in all rows, and {w}",
+    ),
+    "decimal commas": (("0,5", "1,25", "0,1"), ("1,5", "-0,75", "0,2"), [1.25, -0.75]),
+    "decimal points": (("0.5", "1.250", "0.1"), ("1.5", "1.251", "0.2"), [1.25, 1.251]),
+    "points alone": (("0", "1.250", "1"), ("1", "1.251", "2"), [1.25, 1.251]),
+    "three decimals below one": (("0,5", "0,125", "0,1"), ("1,5", "0,250", "0,2"), [0.125, 0.25]),
+    "three decimals beside others": (("0,5", "1,125", "0,1"), ("1,5", "2,250", "0,2"), [1.125, 2.25]),
+}
+
+
+@pytest.mark.parametrize("wanted", ["u and x", "u alone"])
+@pytest.mark.parametrize("kind", ["xlsx", "csv"])
+@pytest.mark.parametrize("case", DECIMAL_SIGNS)
+def test_texts_of_a_workbook_have_the_decimal_sign_of_the_table_as_those_of_csv(tmp_path, case, kind, wanted):
+    *rows, read = DECIMAL_SIGNS[case]
+    path = tmp_path / f"run.{kind}"
+    table = [("time [s]", "u [V]", "x [V]"), *rows]
+    if kind == "csv":
+        path.write_text("\n".join(map(";".join, table)))
+    else:
+        book = pytest.importorskip("openpyxl").Workbook()
+        for row in table:
+            book.active.append(row)
+        book.save(path)
+    outputs = (Output("u", "V"), Output("x", "V"))[: 2 if wanted == "u and x" else 1]
+    model = SimpleNamespace(name="any", inputs=(), outputs=outputs, stated_parameters=())
+    reason = "the number without marks between its thousands"
+    if isinstance(read, list):
+        assert read_arrays(path, model).outputs["u"].tolist() == read
+    else:
+        with pytest.raises(DataError, match=r"column 'u \[V\]'") as refused:
+            read_arrays(path, model)
+        assert read.format(w=reason) in str(refused.value)
+    # Looked at without a model, the column is not passed over, nor shown with wrong numbers.
+    notes = " ".join(map(str, survey_file(path).findings))
+    assert (reason in notes) == (not isinstance(read, list) and "{w}" in read)
+
+
 @pytest.mark.parametrize("header", ["frame", "Sample", "index", "Frame No", "n", "idx", "step_nr"])
 def test_a_time_that_counts_rows_is_asked_what_one_is(tmp_path, header):
     path = tmp_path / "run.csv"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 from greybox.base import DataError, Finding, Severity
 from greybox.data.array_table import ArrayInfo, ArrayTable, describe_cells, read_cells
 from greybox.data.channels import Channel, ChannelTable
-from greybox.data.columns import check_size, check_width, raise_limit
+from greybox.data.columns import THOUSANDS, check_size, check_width, find_decimal_signs, raise_limit
 from greybox.data.file_kinds import FileFormat
 from greybox.data.findings import RecordCode
 from greybox.data.headers import join_units, parse_header
@@ -27,11 +27,12 @@ from greybox.data.time_base import Samples
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Headers and columns (N,) of one sheet: numbers, dates, or cells as they are."""
+    """Headers and columns (N,) of one sheet: numbers, dates, or cells as they are; ``signs``: the decimal signs that its texts show."""
 
     name: str
     columns: Mapping[str, np.ndarray | Stamps]
     findings: tuple[Finding, ...]
+    signs: frozenset[str]
 
     @property
     def clock(self) -> str | None:
@@ -98,9 +99,10 @@ def read_excel(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable
         header: ArrayInfo((len(cells),), dated=not cells.whole_days if isinstance(cells, Stamps) else None)
         for header, cells in sheet.columns.items()
     }
-    return ArrayTable.from_infos(
+    table = ArrayTable.from_infos(
         infos, lambda names: {name: sheet.columns[name] for name in names}, policy, sheet.findings
     )
+    return replace(table, signs=sheet.signs)
 
 
 def _join_sheets(sheets: Sequence[_Sheet], policy: ReadingPolicy) -> ChannelTable:
@@ -134,7 +136,7 @@ def _read_clock(sheet: _Sheet) -> Timeline:
     if isinstance(cells, Stamps):
         return cells.count_seconds(f"{sheet.name}.{sheet.clock}", column.unit)
     if cells.dtype == object:
-        raise DataError(f"sheet {sheet.name!r}: {describe_cells(str(sheet.clock), cells, RowLabels())}")
+        raise DataError(f"sheet {sheet.name!r}: {describe_cells(str(sheet.clock), cells, RowLabels(), sheet.signs)}")
     return Timeline(read_conversion(column.unit, "s")(cells) if column.unit else cells)
 
 
@@ -144,8 +146,10 @@ def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
     head: Sequence[Any] | None = None
     for number, row in enumerate(rows, 1):
         texts = sum(isinstance(cell, str) and bool(cell.strip()) for cell in row)
-        # A row whose texts are all numbers is one of numbers.
-        kept_as_text = texts and None not in read_cells([cell for cell in row if isinstance(cell, str)])
+        # A row whose texts are all numbers is one of numbers, whatever their marks mean.
+        kept_as_text = texts and all(
+            THOUSANDS.fullmatch(cell.strip()) or None not in read_cells([cell]) for cell in row if isinstance(cell, str)
+        )
         values = sum(_is_value(cell) for cell in row) + (texts if kept_as_text else 0)
         # A row of texts alone is one of headers; the fuller one counts, and a shorter one below it holds units.
         if texts and not values and texts == sum(cell is not None for cell in row):
@@ -202,25 +206,26 @@ def _read_block(
     left = sum(any(cell is not None for cell in below) for below in rows)
     values = {"row": count + 1, "rows": left}
     findings = (Finding(RecordCode.ROWS_BELOW_TABLE, Severity.WARNING, title, values),) if left else ()
+    signs = find_decimal_signs(cell for column in cells.values() for cell in column if isinstance(cell, str))
     columns: dict[str, np.ndarray | Stamps] = {}
     for k, column in cells.items():
-        numbers, header = _to_column(column), parse_header(named[k], k)
+        numbers, header = _to_column(column, signs), parse_header(named[k], k)
         # The number that is shown, in percent, unless the header states another unit for the one that is kept.
         if k in percents and header.unit in ("", "%") and isinstance(numbers, np.ndarray) and numbers.dtype != object:
             columns[named[k] if header.unit else f"{named[k]} [%]"] = 100 * numbers
         else:
             columns[named[k]] = numbers
-    return _Sheet(title, columns, findings)
+    return _Sheet(title, columns, findings, signs)
 
 
-def _to_column(cells: list[Any]) -> np.ndarray | Stamps:
+def _to_column(cells: list[Any], signs: frozenset[str]) -> np.ndarray | Stamps:
     """Numbers (N,) with NaN for empty cells, or stamps; cells as they are where they are neither, for a message."""
     if all(cell is None or isinstance(cell, (bool, int, float)) for cell in cells):
         return np.array([np.nan if cell is None else float(cell) for cell in cells])
     reader = StampReader()
     if not reader.add(cells):
         return reader.finish()
-    numbers = read_cells(cells)
+    numbers = read_cells(cells, signs)
     if None not in numbers:
         return np.array(numbers, dtype=np.float64)
     mixed = np.empty(len(cells), dtype=object)
