@@ -212,11 +212,11 @@ class MotionSearch:
 
     def inform(self, x: np.ndarray) -> np.ndarray:
         """Information (P, P) of the logs and one period."""
-        return self.weigh(*self.move(x, self.coarse))
+        return self.weigh(self.columns(*self.move(x, self.coarse)))
 
-    def weigh(self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:
-        """Information (P, P) of the logs and one period of a motion (N, n)."""
-        return self.known + self.floor + self.period * self.rate / len(q) * self.multiply(self.columns(q, dq, ddq))
+    def weigh(self, Y: np.ndarray) -> np.ndarray:
+        """Information (P, P) of the logs and one period of a motion with columns (N, n, P)."""
+        return self.known + self.floor + self.period * self.rate / len(Y) * self.multiply(Y)
 
     def multiply(self, Y: np.ndarray) -> np.ndarray:
         """Weighed products (P, P) of columns (N, n, P), summed over rows and axes."""
@@ -241,12 +241,11 @@ class MotionSearch:
         """What is minimised, and its slopes: ``-log det M`` and the squares of what is beyond a limit."""
         motion = self.move(x, self.coarse)
         Y, count, B = self.columns(*motion), len(motion[0]), len(self.base.names)
-        share = self.period * self.rate / count
-        M = self.known + self.floor + share * self.multiply(Y)
+        M = self.weigh(Y)
         scale = 1 / np.sqrt(np.diag(M))
         inverse = scale[:, None] * np.linalg.inv(scale[:, None] * M * scale) * scale
         # d(-log det M) = -2 sum tr(M^-1 Y' W dY)
-        G = -2 * share * self.weights[:, None] * (Y @ inverse)
+        G = -2 * self.period * self.rate / count * self.weights[:, None] * (Y @ inverse)
         cost, slope = -float(np.linalg.slogdet(M)[1]), np.zeros_like(motion)
         for k, (center, most) in enumerate(self.bounds()):
             over, side = _beyond((motion[k] - center) / most)

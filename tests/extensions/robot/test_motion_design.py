@@ -71,7 +71,7 @@ def test_no_random_motion_tells_more(arm: Robot, designed: MotionDesign) -> None
         float(np.linalg.slogdet(search.inform(search.shrink(search.random(rng) * rng.uniform(0.05, 1))))[1])
         for _ in range(12)
     )
-    information = search.weigh(designed.q, designed.dq, designed.ddq)
+    information = search.weigh(search.columns(designed.q, designed.dq, designed.ddq))
     assert float(np.linalg.slogdet(information)[1]) > best + 1.0
 
 
