@@ -130,7 +130,7 @@ def find_records(
     record
         Column that names the record of each row, for Parquet files that hold many; the rows of a record stand together.
     columns, sampling_time, hold, interpolation, before, conditions, allow_constant_input, window, reading
-        As of `greybox.read_csv`, for all records.
+        As of `greybox.read_csv`, for all records. `fit_each` takes one course for an input that nobody tells, as a dozen records show it.
 
     Returns
     -------
