@@ -56,6 +56,7 @@ class RecordCode(StrEnum):
     SUMMER_TIME = "summer_time"
     ORIGINS_APART = "origins_apart"
     ROWS_BELOW_TABLE = "rows_below_table"
+    SHEET_NOT_READ = "sheet_not_read"
     CLOCKS_NOT_COMPARED = "clocks_not_compared"
     ALSO_FITTED = "record_also_fitted"
 

@@ -187,6 +187,52 @@ def _workbook(path, **sheets):
     return path
 
 
+# Cells of the time of a sheet, whose rows begin at MOMENTS.
+DAYS_AND_TIMES = {
+    "day and time of day": (["Datum", "Uhrzeit"], [[dt.datetime(m.year, m.month, m.day), m.time()] for m in MOMENTS]),
+    "the other way round": (["clock", "day"], [[m.time(), dt.datetime(m.year, m.month, m.day)] for m in MOMENTS]),
+    "as texts": (["Date", "Time"], [[f"{m:%d.%m.%Y}", f"{m:%H:%M:%S.%f}"] for m in MOMENTS]),
+    "day and stamp": (["Tag", "Zeit"], [[dt.datetime(m.year, m.month, m.day), m] for m in MOMENTS]),
+}
+
+
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("kind", DAYS_AND_TIMES)
+def test_a_sheet_with_a_day_and_a_time_of_day_is_read_beside_one_with_a_stamp(tmp_path, kind, first):
+    head, times = DAYS_AND_TIMES[kind]
+    levels = [[*head, "x [V]"], *([*time, x] for time, x in zip(times, ANSWER, strict=True))]
+    drive = [["Zeit", "u [V]"], *map(list, zip(MOMENTS, DRIVE, strict=True))]
+    sheets = {"levels": levels, "drive": drive} if first else {"drive": drive, "levels": levels}
+    path = _workbook(tmp_path / "run.xlsx", **sheets)
+    survey = survey_file(path)
+    signals = {(s.header, s.start, s.stop) for s in survey.signals if s.use != "text"}
+    assert signals == {("x [V]", 0.0, STEPS[-1]), ("u [V]", 0.0, STEPS[-1])}
+    assert RecordCode.SHEET_NOT_READ not in {f.code for f in survey.findings}
+    np.testing.assert_allclose(read_csv(path, LAG).outputs["x"], ANSWER)
+
+
+@pytest.mark.parametrize("head", [["index"], ["begin", "end"]])
+def test_a_sheet_whose_time_cannot_be_told_is_named(tmp_path, head):
+    times = [[k] if head == ["index"] else [m, m] for k, m in enumerate(MOMENTS)]
+    levels = [[*head, "x [V]"], *([*time, x] for time, x in zip(times, ANSWER, strict=True))]
+    drive = [["Zeit", "u [V]"], *map(list, zip(MOMENTS, DRIVE, strict=True))]
+    (note,) = (
+        str(f)
+        for f in survey_file(_workbook(tmp_path / "run.xlsx", levels=levels, drive=drive)).findings
+        if f.code is RecordCode.SHEET_NOT_READ
+    )
+    assert note.startswith("sheet 'levels' is not read: ")
+
+
+def test_marks_between_thousands_are_told_of_a_sheet_beside_others(tmp_path):
+    levels = [["Zeit", "x [V]", "y [V]"], *([m, f"1.{k:03}", "2,5"] for k, m in enumerate(MOMENTS))]
+    drive = [["Zeit", "u [V]"], *map(list, zip(MOMENTS, DRIVE, strict=True))]
+    path = _workbook(tmp_path / "run.xlsx", levels=levels, drive=drive)
+    assert "without marks between its thousands" in " ".join(map(str, survey_file(path).findings))
+    with pytest.raises(DataError, match=r"'x \[V\]' holds texts with marks between thousands"):
+        read_csv(path, LAG)
+
+
 CELLS = {
     "date": MOMENTS,
     "time of day": [(dt.datetime(2024, 1, 1, 8) + dt.timedelta(seconds=s)).time() for s in STEPS],

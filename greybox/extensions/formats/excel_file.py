@@ -14,14 +14,22 @@ import numpy as np
 from greybox.base import DataError, Finding, Severity
 from greybox.data.array_table import ArrayInfo, ArrayTable, describe_cells, read_cells
 from greybox.data.channels import Channel, ChannelTable
-from greybox.data.columns import THOUSANDS, check_size, check_width, find_decimal_signs, raise_limit
+from greybox.data.columns import (
+    THOUSANDS,
+    WITHOUT_MARKS,
+    check_size,
+    check_width,
+    find_dated_time,
+    find_decimal_signs,
+    raise_limit,
+)
 from greybox.data.file_kinds import FileFormat
 from greybox.data.findings import RecordCode
 from greybox.data.headers import join_units, parse_header
 from greybox.data.notation import read_conversion
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
-from greybox.data.stamps import StampReader, Stamps, Timeline, find_origin, is_stamp
+from greybox.data.stamps import StampKind, StampReader, Stamps, Timeline, find_origin, is_stamp
 from greybox.data.time_base import Samples
 
 
@@ -34,12 +42,31 @@ class _Sheet:
     findings: tuple[Finding, ...]
     signs: frozenset[str]
 
+    def as_table(self, policy: ReadingPolicy) -> ArrayTable:
+        """The sheet as the only one of its file."""
+        infos = {
+            header: ArrayInfo((len(cells),), dated=not cells.whole_days if isinstance(cells, Stamps) else None)
+            for header, cells in self.columns.items()
+        }
+        table = ArrayTable.from_infos(
+            infos, lambda names: {name: self.columns[name] for name in names}, policy, self.findings
+        )
+        return replace(table, signs=self.signs)
+
     @property
     def clock(self) -> str | None:
-        """Header of the time column: by its name, or the only one of dates."""
-        named = [header for header in self.columns if parse_header(header, 0).is_time]
-        dated = [header for header, cells in self.columns.items() if isinstance(cells, Stamps)]
-        return next(iter(named or (dated if len(dated) == 1 else [])), None)
+        """Header of the time column: by its name, or by its dates or times of day."""
+        columns = [parse_header(header, k) for k, header in enumerate(self.columns)]
+        times = [column for column in columns if column.is_time]
+        times = times or find_dated_time(columns, self.as_table(READING_POLICY))
+        return next((column.header for column in times), None)
+
+    @property
+    def day(self) -> str | None:
+        """Header of the only column of days, which a clock of times of day needs."""
+        days = [h for h, cells in self.columns.items() if isinstance(cells, Stamps) and cells.whole_days]
+        clock = self.columns[str(self.clock)]
+        return days[0] if len(days) == 1 and isinstance(clock, Stamps) and clock.kind is StampKind.CLOCK else None
 
 
 # Bytes that a part of a workbook which is read as a whole (texts, formats, names) may unpack to, as a share of what may be unpacked at
@@ -90,19 +117,12 @@ def read_excel(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable
         book.close()
     if not sheets:
         raise DataError("no sheet has a row of headers above rows of numbers; save the record as CSV")
-    timed = [sheet for sheet in sheets if sheet.clock]
-    if len(timed) > 1:
-        return _join_sheets(timed, policy)
-    # One sheet: the one with a clock, or the first that has numbers.
-    sheet = (timed or sheets)[0]
-    infos = {
-        header: ArrayInfo((len(cells),), dated=not cells.whole_days if isinstance(cells, Stamps) else None)
-        for header, cells in sheet.columns.items()
-    }
-    table = ArrayTable.from_infos(
-        infos, lambda names: {name: sheet.columns[name] for name in names}, policy, sheet.findings
-    )
-    return replace(table, signs=sheet.signs)
+    # Those with a clock, or the first that has numbers.
+    kept = [sheet for sheet in sheets if sheet.clock] or sheets[:1]
+    table = _join_sheets(kept, policy) if len(kept) > 1 else kept[0].as_table(policy)
+    about, read = {"read": kept[0].name}, {sheet.name for sheet in kept}
+    left = [Finding(RecordCode.SHEET_NOT_READ, subject=s.name, values=about) for s in sheets if s.name not in read]
+    return replace(table, findings=(*table.findings, *left))
 
 
 def _join_sheets(sheets: Sequence[_Sheet], policy: ReadingPolicy) -> ChannelTable:
@@ -117,10 +137,17 @@ def _join_sheets(sheets: Sequence[_Sheet], policy: ReadingPolicy) -> ChannelTabl
         seconds = times[sheet.name].seconds + after[sheet.name]
         known = np.isfinite(seconds)
         for header, cells in sheet.columns.items():
-            if header != sheet.clock:
+            if header not in (sheet.clock, sheet.day):
                 column = parse_header(header, 0)
                 is_number = isinstance(cells, np.ndarray) and cells.dtype != object
                 holds = "" if is_number else "text or dates"
+                if isinstance(cells, np.ndarray) and not is_number:
+                    reason = describe_cells(header, cells, RowLabels(), sheet.signs)
+                    if WITHOUT_MARKS in reason:
+                        holds = "texts with marks between thousands"
+                        count = sum(value is not None for value in read_cells(cells, sheet.signs))
+                        about = {"count": count, "rows": len(cells), "reason": reason}
+                        findings.append(Finding(RecordCode.COLUMN_WITH_TEXT, Severity.WARNING, header, about))
                 channels.append(Channel(column.name, column.unit, sheet.name, sheet.name, int(known.sum()), holds))
                 values = cells[known] if isinstance(cells, np.ndarray) and is_number else np.zeros(0)
                 samples.append(Samples(seconds[known], values))
@@ -134,6 +161,8 @@ def _read_clock(sheet: _Sheet) -> Timeline:
     column = parse_header(str(sheet.clock), 0)
     cells = sheet.columns[str(sheet.clock)]
     if isinstance(cells, Stamps):
+        days = sheet.columns[sheet.day] if sheet.day else None
+        cells = cells.on_days(days) if isinstance(days, Stamps) else cells
         return cells.count_seconds(f"{sheet.name}.{sheet.clock}", column.unit)
     if cells.dtype == object:
         raise DataError(f"sheet {sheet.name!r}: {describe_cells(str(sheet.clock), cells, RowLabels(), sheet.signs)}")
