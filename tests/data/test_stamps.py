@@ -221,7 +221,7 @@ def test_a_sheet_whose_time_cannot_be_told_is_named(tmp_path, head):
         for f in survey_file(_workbook(tmp_path / "run.xlsx", levels=levels, drive=drive)).findings
         if f.code is RecordCode.SHEET_NOT_READ
     )
-    assert note.startswith("sheet 'levels' is not read: ")
+    assert note.startswith("sheet 'levels' is not read, as sheet 'drive' is: ")
 
 
 def test_marks_between_thousands_are_told_of_a_sheet_beside_others(tmp_path):

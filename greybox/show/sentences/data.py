@@ -231,8 +231,8 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     ),
     RecordCode.ROWS_BELOW_TABLE: "sheet '{subject}': the table ends at the empty row {row}, and {rows} rows below it are not read; remove"
     " the empty rows, or move what is below to a sheet of its own",
-    RecordCode.SHEET_NOT_READ: "sheet '{subject}' is not read: the one time column that it needs beside sheet '{read}' is not to be told;"
-    " call it time [s], or keep one column of dates or times of day in it",
+    RecordCode.SHEET_NOT_READ: "sheet '{subject}' is not read, as sheet '{read}' is: which column is its time cannot be told; call it"
+    " time [s], or keep one column of dates or times of day",
     RecordCode.CLOCKS_NOT_COMPARED: "clocks '{reference}' and '{subject}' have no signal in common: an offset between them cannot be told"
     " from a delay of the plant; record one signal on both, or fit a delay (shell: --effect transport_delay)",
     RecordCode.ALSO_FITTED: "{place}, which is fitted: it cannot validate the model; use a record that is not",

@@ -83,6 +83,12 @@ GOLDEN = {
         "its time counts from its own zero, other records of this call from 2024-10-27 02:00:00 UTC, with which it cannot be compared:"
         " how they lie to each other in time is not known",
     ),
+    RecordCode.SHEET_NOT_READ: (
+        "Levels",
+        {"read": "Drive"},
+        "sheet 'Levels' is not read, as sheet 'Drive' is: which column is its time cannot be told; call it time [s], or keep one column"
+        " of dates or times of day",
+    ),
     RecordCode.ROWS_BELOW_TABLE: (
         "Daten",
         {"row": 51, "rows": 12},
