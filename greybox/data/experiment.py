@@ -430,13 +430,15 @@ def stack_signals(signals: Sequence[np.ndarray], rows: int) -> np.ndarray:
     return np.column_stack(signals) if signals else np.zeros((rows, 0))
 
 
-def collect_record_findings(experiments: Iterable[Experiment]) -> tuple[Finding, ...]:
+def collect_record_findings(experiments: Iterable[Experiment], *, is_robust: bool = False) -> tuple[Finding, ...]:
     """The findings of several records, each once, with the records that it holds for under ``values["records"]``.
 
     Parameters
     ----------
     experiments
         The records, in the order in which their findings are to stand.
+    is_robust
+        Whether a robust loss is asked for: spikes then count among its outliers, and ask for nothing more.
 
     Returns
     -------
@@ -457,6 +459,8 @@ def collect_record_findings(experiments: Iterable[Experiment]) -> tuple[Finding,
     ]
     for experiment in experiments:
         for finding in experiment.findings:
+            if is_robust and finding.code == RecordCode.SENSOR_SPIKES:
+                continue
             key = json.dumps([finding.code, finding.subject, dict(finding.values)], default=str)
             findings.setdefault(key, finding)
             names.setdefault(key, {})[experiment.source or experiment.name] = None

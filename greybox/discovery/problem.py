@@ -403,7 +403,8 @@ class DiscoveryProblem:
         constants = {n: v for n, v in {**job.model.values, **start}.items() if n not in self.model.values}
         listed = ", ".join(f"{name} = {value:.4g}" for name, value in constants.items())
         reason = locate_simulation_failure(problem, variables, *failed)
-        return f"no run from any starting point; from {listed}: {reason}; give its constants others, or leave it out (shell: --without)"
+        remedy = "give its constants others, or leave it out with without=... (shell: --without)"
+        return f"no run from any starting point; from {listed}: {reason}; {remedy}"
 
     def refit(self, job: RefitJob) -> FittedCandidate | None:
         """One refit in this process.

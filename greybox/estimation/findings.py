@@ -15,7 +15,7 @@ from greybox.base.linear_algebra import are_independent
 from greybox.base.numerics import INDEPENDENT_FORMULA, RELATION_MET, ROWS_AT_A_TIME, STATE_BOUND_MARGIN, TINY
 from greybox.data.closed_loop import answers_same_row
 from greybox.data.experiment import Experiment, collect_record_findings
-from greybox.data.findings import RecordCode, is_sensor_fault
+from greybox.data.findings import is_sensor_fault
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance, compute_interval, compute_quantile
 from greybox.estimation.errors import compute_weighed_ratio
@@ -700,13 +700,9 @@ def add_record_findings(
 ) -> tuple[Finding, ...]:
     """``findings`` of a fit and those of its records: first those about doubtful measurements, then the others.
 
-    Under a robust loss spikes are counted among the outliers, and ask for nothing more.
+    ``is_robust`` as `collect_record_findings` has it.
     """
-    records = [
-        finding
-        for finding in collect_record_findings(experiments)
-        if not (is_robust and finding.code == RecordCode.SENSOR_SPIKES)
-    ]
+    records = collect_record_findings(experiments, is_robust=is_robust)
     faults = [finding for finding in records if is_sensor_fault(finding)]
     return (*faults, *findings, *(finding for finding in records if not is_sensor_fault(finding)))
 

@@ -864,5 +864,5 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
         ),
         robust=robust,
         prediction=prediction.report() if prediction else result_parts.PredictionReport(),
-        findings=add_record_findings(findings, problem.experiments, is_robust=problem.loss is not None),
+        findings=add_record_findings(findings, problem.experiments, is_robust=options.robust),
     )

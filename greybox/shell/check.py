@@ -76,6 +76,8 @@ def look_at_files(study: Study) -> Answer:
     """What is in the files that the command names. Raises GreyboxError."""
     from greybox.data.policy import READING_POLICY
     from greybox.data.survey import survey_file
+    from greybox.shell.template import plant_names
+    from greybox.show.printers.text import wrap
 
     surveys = [
         survey_file(
@@ -89,20 +91,23 @@ def look_at_files(study: Study) -> Answer:
     ]
     data = [survey.as_dict() for survey in surveys]
     shown = data if len(data) > 1 else data[0]
-    return Answer(
-        "\n\n".join(map(str, surveys)), lambda _: json_format.dumps(shown, indent=2), next=_next(study, surveys[0])
-    )
+    text, following = "\n\n".join(map(str, surveys)), _next(study, surveys[0])
+    if following is None:
+        lines = wrap(f"a model to start from, PLANT: {', '.join(plant_names())}", 80, "  ")
+        text = "\n".join([text, "", *lines])
+    proposed = following or "greybox init my_rig --plant PLANT"
+    return Answer(text, lambda _: json_format.dumps(shown, indent=2), next=proposed)
 
 
-def _next(study: Study, survey: FileSurvey) -> NextCommand | str:
-    """The check of a model whose signals are all in the file; else a project in which one is written."""
+def _next(study: Study, survey: FileSurvey) -> NextCommand | None:
+    """The check of a model whose signals are all in the file; None where there is no such model."""
     from greybox.shell.project import list_models
 
     present = {signal.name for signal in survey.signals}
     for entry in list_models().models:
         if {*(i.name for i in entry.model.inputs), *(o.name for o in entry.model.outputs)} <= present:
             return study.then("check", entry.name, study.model, *study.estimation)
-    return "greybox init my_rig"
+    return None
 
 
 USED = (*ESTIMATING, *INTEGRATING, Study.outputs)

@@ -148,7 +148,7 @@ def _refuse_missing(ctx: click.Context, study: Study, required: list[Option[Any]
         if study.file is not None:
             remedy = MISSING.get(option.name, f"give it, or add {option.usage}")
             raise GreyboxError(f"{study.file}: {option.label} is missing; {remedy}")
-        message = f"{option.flag} is missing; see {ctx.command_path} --help"
+        message = f"{option.usage} is missing: {option.help} See {ctx.command_path} --help"
         if not option.flags:
             order = [o.usage for o in study.options.values() if not o.flags]
             message = describe_missing_argument(ctx.command_path, order, option.usage, [first])

@@ -204,7 +204,9 @@ def _answer(
     from greybox.shell.printed import ComparisonAnswer
     from greybox.show.sentences import sentences
 
-    known = sentences(collect_record_findings([*records, *validation]))
+    known = sentences(
+        collect_record_findings([*records, *validation], is_robust=any(f.robust.name for f in fits.values()))
+    )
     fingerprints = {e.name: e.fingerprint for e in (*records, *validation)}
     constants = {title: fit.parameters for title, fit in fits.items()}
     answer = ComparisonAnswer(result, fingerprints, known, constants, read_versions())

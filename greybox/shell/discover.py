@@ -143,6 +143,10 @@ DISCOVER = Command(
         *(*ESTIMATING, Study.candidates, Study.without, Study.without_family, Study.has, Study.lacks, Study.further),
         *(Study.laws, Study.priors, Study.quiet, Study.validation, Study.test, Study.skip, Study.beginning),
         *(*INTEGRATING, Study.schedules, Study.common_noise, Study.loss, Study.transcription, Study.arc_length),
+        Study.validation.but(
+            help="A validation record, which is not fitted: another run, or the end of this one; may be repeated.",
+            required=True,
+        ),
         Study.estimation.but(usage="ESTIMATION", help="Records to learn from, headers 'name [unit]'.", required=True),
         Study.time_limit.but(
             help="End the search after so many seconds, with the best answer so far. The same command continues it."

@@ -135,7 +135,6 @@ def fit(study: Study) -> Answer:
 def next_command(study: Study, result: Fit, saved: Path) -> NextCommand:
     """What a colleague would type after a fit: what is missing, or where the model goes."""
     from greybox.data.findings import RecordCode
-    from greybox.shell.project import is_model_path
 
     records = (study.model, *study.estimation)
     if not result.success:
@@ -150,9 +149,7 @@ def next_command(study: Study, result: Fit, saved: Path) -> NextCommand:
         return study.then("discover", *records)
     if not result.model.has_equations:
         return study.then("compare", *records)
-    # A model that no name finds is named beside its fit.
-    known = ["--model", study.model] if is_model_path(study.model) else []
-    return study.then("export", saved, "--to", "control", *known, holds=IN_RESULT)
+    return study.then("export", saved, "--to", "control", holds=IN_RESULT)
 
 
 def _write_page(answer: FitAnswer, target: Path, skip: int) -> Path:

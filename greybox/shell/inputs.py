@@ -176,7 +176,6 @@ def read_records(study: Study, model: Model) -> Records:
     Records are split where their time starts anew and at its gaps if the study says so; otherwise a long gap in which the
     input is unknown is refused. Raises GreyboxError.
     """
-    from greybox.data.experiment import refuse_unknown_input
     from greybox.data.identity import mark_fitted, refuse_repeated
 
     from_files = {name: None for name, values in study.conditions.items() if values is None}
@@ -188,13 +187,25 @@ def read_records(study: Study, model: Model) -> Records:
     judges = [read_files(study, each, model, conditions=from_files, hold=hold) for each in files[1:]]
     refuse_repeated(estimation)
     records = _with_conditions(given, study, Records(estimation, *(mark_fitted(each, estimation) for each in judges)))
+    return Records(*split_as_told(study, records, files))
+
+
+def split_as_told(
+    study: Study, records: Sequence[Sequence[Experiment]], files: Sequence[Sequence[Path]]
+) -> Sequence[tuple[Experiment, ...]]:
+    """Each group of records, read from a group of ``files``, split at the gaps in time if the study says so.
+
+    Raises GreyboxError for a gap that is not split and in which the input is unknown.
+    """
+    from greybox.data.experiment import refuse_unknown_input
+
     if not study.split_holes:
         refuse_unknown_input(record for group in records for record in group)
-        return records
+        return [tuple(group) for group in records]
     runs = sum(map(len, records)) - sum(map(len, files))
     pieces, findings = split_records(records, at_rest=study.at_rest, runs=runs)
     print_findings(findings)
-    return Records(*pieces)
+    return pieces
 
 
 def read_files(study: Study, files: Sequence[Path], model: Model, **other: Any) -> tuple[Experiment, ...]:
@@ -280,11 +291,10 @@ def print_record_notes(*groups: Iterable[Experiment], loss: str = "squares") -> 
     A robust ``loss`` is what is to be done about spikes.
     """
     from greybox.data.experiment import collect_record_findings
-    from greybox.data.findings import RecordCode
 
-    for finding in collect_record_findings(record for group in groups for record in group):
-        if loss == "squares" or finding.code != RecordCode.SENSOR_SPIKES:
-            print_note(f"note: {finding}")
+    records = (record for group in groups for record in group)
+    for finding in collect_record_findings(records, is_robust=loss != "squares"):
+        print_note(f"note: {finding}")
 
 
 # Rows of a validation record that must be left after ``--skip``: fewer give no meaningful error.

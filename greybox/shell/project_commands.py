@@ -13,7 +13,7 @@ from greybox.base import ExitCode, Finding, GreyboxError
 from greybox.base.texts import to_word
 from greybox.shell.inputs import add_effects, check_writable
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import SHOWING, Answer, Command, Excludes, Idle, Needs, Study
+from greybox.shell.study import SHOWING, Answer, Command, Excludes, Idle, Needs, NextCommand, Study
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note, write_report
 
 if TYPE_CHECKING:
@@ -183,9 +183,9 @@ def effects(study: Study) -> Answer:
     if model and not alone:
         plant = add_effects(find_model(model), study.added)
         listing = EffectListing(plant.title, entries, tuple(find_placements(plant, entries)))
-    following = (
-        "greybox effects MODEL" if not model else "" if alone else f"greybox discover {to_word(model)} RECORD.csv"
-    )
+    following: NextCommand | str = "greybox effects MODEL" if not model else ""
+    if model and not alone:
+        following = study.but(effects=study.added).then("discover", model, "RECORD.csv")
     return Answer(listing, lambda _: _as_json(_to_data(listing)), next=following)
 
 

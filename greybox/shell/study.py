@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import takewhile
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Generic, Self, TypeVar, overload
@@ -21,6 +22,8 @@ from greybox.shell import completion
 from greybox.shell import study_values as kinds
 
 T = TypeVar("T")
+# Stands for a record that is still to be taken.
+ANOTHER_RECORD = Path("ANOTHER_RECORD.csv")
 HOLDS = ("auto", "zero", "first", "band-limited", "mean")
 METHODS = ("automatic", "exact", "rk4", "mixed", "midpoint", "radau")
 TRANSCRIPTIONS = ("automatic", "single", "multiple", "collocation-radau", "collocation-legendre", "arcs")
@@ -71,6 +74,14 @@ class Option(Generic[T]):
     def but(self, **changes: Any) -> Option[T]:
         """The same option in the words of another command."""
         return replace(self, **changes)
+
+    def takes(self, value: Any) -> bool:
+        """Whether this is a value of the option in these words: another command may offer fewer."""
+        try:
+            self.kind.from_toml(self.label, self.kind.to_toml(value))
+        except GreyboxError:
+            return False
+        return True
 
     @property
     def flags(self) -> list[str]:
@@ -136,7 +147,8 @@ class Study:
     effects = Option(kinds.Names(split=True), "--effect NAME", "effects",
         "Add an effect of the catalogue, such as coulomb_friction.", completion.effects)
     candidates = Option(kinds.CommaNames(), "--effects NAME,...", "candidates",
-        "Test only these effects of the catalogue; none: no effect, only equations, as with --laws. [default: all]", completion.effects)
+        "Test only these effects of the catalogue; none: no effect, only equations, as with --laws; may be repeated. [default: all]",
+        completion.effects)
     without = Option(kinds.Names(split=True), "--without NAME", "without",
         "Do not try this effect of the catalogue; may be repeated.", completion.effects)
     without_family = Option(kinds.Names(split=True), "--without-family NAME", "without_family",
@@ -371,9 +383,14 @@ class Needs:
     others: tuple[Option[Any], ...]
     why: str
 
+    def idle(self, study: Study) -> tuple[Option[Any], ...]:
+        """The options of a study that change nothing by this rule."""
+        idle = study.sets(self.option) and not any(map(study.sets, self.others))
+        return (self.option,) * idle
+
     def objection(self, study: Study) -> str:
         """What is wrong with a study by this rule; "" where nothing is."""
-        if not study.sets(self.option) or any(map(study.sets, self.others)):
+        if not self.idle(study):
             return ""
         others = " or ".join(study.options.get(o.name, o).usage for o in self.others)
         return f"{study.spell(self.option)} has no effect: {self.why}; give {others} too"
@@ -389,6 +406,10 @@ class Excludes:
     one: Option[Any]
     other: Option[Any]
     why: str
+
+    def idle(self, study: Study) -> tuple[Option[Any], ...]:
+        """None: which of the two is meant, only the user knows."""
+        return ()
 
     def objection(self, study: Study) -> str:
         """What is wrong with a study by this rule; "" where nothing is."""
@@ -411,11 +432,14 @@ class Idle:
     where: Callable[[Any], bool] = lambda _: True
     remedy: str = ""
 
+    def idle(self, study: Study) -> tuple[Option[Any], ...]:
+        """The options of a study that change nothing by this rule."""
+        given = tuple(option for option in self.options if study.sets(option))
+        return given if given and self.where(study) else ()
+
     def objection(self, study: Study) -> str:
         """What is wrong with a study by this rule; "" where nothing is."""
-        if not self.where(study):
-            return ""
-        idle = [study.label(o) if o.flags else study.spell(o) for o in self.options if study.sets(o)]
+        idle = [study.label(o) if o.flags else study.spell(o) for o in self.idle(study)]
         it = "it" if len(idle) == 1 else "them"
         beside = self.beside.format(s=study)
         return f"{', '.join(idle)}: no effect {beside}; leave {it} out{self.remedy.format(it=it)}" if idle else ""
@@ -430,7 +454,10 @@ Relation = Needs | Excludes | Idle
 
 @dataclass(frozen=True)
 class NextCommand:
-    """A ``command`` that follows a study: ``arguments``, and those of its options that the study sets and no argument ``holds``."""
+    """A ``command`` that follows a study: ``arguments``, and those of its options that the study sets and no argument ``holds``.
+
+    What the command would refuse is left out; a record that it cannot do without has a placeholder.
+    """
 
     study: Study
     command: str
@@ -440,17 +467,34 @@ class NextCommand:
     def spell(self, commands: Mapping[str, Command]) -> str:
         """As it is typed."""
         words = ["greybox", self.command, *map(str, self.arguments)]
+        following = self._study(commands[self.command])
         # A command that says an option in its own words has it twice: the last counts.
-        options = {option.name: option for option in commands[self.command].options}
-        held = {option.name for option in self.holds}
-        for option in options.values():
-            if option.name not in held and option.flags and option.place and self.study.sets(option):
-                values = option.kind.typed(self.study.values[option.name])
+        for option in {option.name: option for option in commands[self.command].options}.values():
+            if option.flags and following.sets(option):
+                values = option.kind.typed(following.values[option.name])
                 if isinstance(option.kind, kinds.Switch):
                     words.append(option.flags[0])
                 else:
                     words += [word for text in values for word in (option.flags[0], text)]
         return " ".join(map(to_word, words))
+
+    def _study(self, command: Command) -> Study:
+        """What the study says to ``command``, with the arguments."""
+        held, known = {option.name for option in self.holds}, self.study.values
+        carried = {n: o for n, o in command.in_study().items() if o.flags and n not in held and self.study.sets(o)}
+        told = {name: known[name] for name, option in carried.items() if option.takes(known[name])}
+        # A result names its model: that is enough unless the model is a file.
+        if kinds.is_name_of_model(told.get("model", "")):
+            del told["model"]
+        records = [o.name for o in command.table.values() if o.required and o.flags and isinstance(o.kind, kinds.Files)]
+        told = dict.fromkeys(records, (ANOTHER_RECORD,)) | told
+        words = [*takewhile(lambda word: not word.startswith("-"), map(str, self.arguments))]
+        for argument in command.arguments:
+            some = len(words) if argument.kind.repeated else 1
+            told[argument.name] = tuple(map(Path, words)) if argument.kind.repeated else "".join(words[:1])
+            words = words[some:]
+        study = command.study(**told)
+        return study.but(**{o.name: o.kind.empty for relation in command.relations for o in relation.idle(study)})
 
 
 @dataclass(frozen=True)
@@ -567,6 +611,8 @@ READING_LIKE = (
     *(Study.columns, Study.headers, Study.read_limit, Study.first_time, Study.last_time),
     *(Study.interpolation, Study.before),
 )
+# What such a command is told of how records are split, and of those that nothing drives.
+SPLITTING = (Study.split_holes, Study.free_decay)
 # What every command takes that looks at a model with records.
 ESTIMATING = (
     *(Study.model, Study.estimation, Study.fixed, Study.start, Study.free, Study.conditions, Study.noise),
@@ -584,7 +630,7 @@ IN_MODEL = (
     *(Study.fixed, Study.start, Study.free, Study.priors, Study.ties, Study.effects, Study.schedules),
     *(Study.process_noise, Study.has, Study.lacks),
 )
-IN_RESULT = (*IN_MODEL, *(option for option in FITTING if option not in READING))
+IN_RESULT = (*IN_MODEL, *(option for option in FITTING if option not in (*READING, Study.model)))
 # ... and a record that was written: how its inputs move between its rows it does not say.
 IN_RECORD = (Study.start, Study.noise, Study.seed, *(o for o in READING if o not in (Study.hold, Study.interpolation)))
 SHOWING = (Study.json, Study.details, Study.no_report)

@@ -231,12 +231,10 @@ class Names(Kind[tuple[str, ...]]):
 
 @dataclass(frozen=True)
 class CommaNames(Names):
-    """Names after one option, separated by commas."""
+    """Names after one option, separated by commas; those of an option that is given several times belong together."""
 
-    repeated = False
-
-    def from_option(self, option: str, raw: str) -> tuple[str, ...]:  # type: ignore[override]
-        return tuple(name.strip() for name in raw.split(",") if name.strip())
+    def from_option(self, option: str, raw: Sequence[str]) -> tuple[str, ...]:
+        return tuple(name.strip() for text in raw for name in text.split(",") if name.strip())
 
     def typed(self, value: tuple[str, ...]) -> list[str]:
         return [",".join(value)]
@@ -246,12 +244,10 @@ class CommaNames(Names):
 class Headers(Names):
     """Headers after one option, separated by commas; blanks and brackets belong to them: ``time [ms],u,-,x [um]``."""
 
-    repeated = False
-
-    def from_option(self, option: str, raw: str) -> tuple[str, ...]:  # type: ignore[override]
-        headers = tuple(name.strip() for name in raw.split(","))
+    def from_option(self, option: str, raw: Sequence[str]) -> tuple[str, ...]:
+        headers = tuple(name.strip() for text in raw for name in text.split(","))
         if not all(headers):
-            raise GreyboxError(f"{option} {raw}: a name is empty; write '-' for a column that is not wanted")
+            raise GreyboxError(f"{option} {','.join(raw)}: a name is empty; write '-' for a column that is not wanted")
         return headers
 
     def typed(self, value: tuple[str, ...]) -> list[str]:
@@ -314,15 +310,19 @@ def split_model_path(name: str) -> tuple[Path, str]:
     return (Path(f"{file}.py"), wanted) if colon else (Path(name), "")
 
 
+def is_name_of_model(value: str) -> bool:
+    """Whether ``value`` is the name of a model, which has no ending, and not its file."""
+    return bool(value) and not split_model_path(value)[0].suffix and "/" not in value and "\\" not in value
+
+
 @dataclass(frozen=True)
 class ModelName(Word):
     """A model: its name, or its file, which is a program; or a result that holds one."""
 
     def moved(self, value: str, move: Callable[[Path], Path]) -> str:
-        file, name = split_model_path(value)
-        # Names of models have no ending.
-        if not file.suffix and "/" not in value and "\\" not in value:
+        if is_name_of_model(value):
             return value
+        file, name = split_model_path(value)
         return move(file).as_posix() + (f":{name}" if name else "")
 
 

@@ -202,6 +202,9 @@ def test_spikes_of_one_row_are_counted_and_placed():
     (finding,) = findings_of(time, drive, answer)
     assert finding.code == RecordCode.SENSOR_SPIKES
     assert finding.values == {"count": 3, "times": [time[40], time[141], time[300]]}
+    spiky = make(time=time, inputs={"u": drive}, outputs={"y": answer})
+    assert [f.code for f in collect_record_findings([spiky])] == [RecordCode.SENSOR_SPIKES]
+    assert not collect_record_findings([spiky], is_robust=True)
 
 
 def test_what_the_plant_does_itself_is_no_spike():

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.extensions.design.command import read_data
 from greybox.extensions.design.problem import DESIGN_POLICY
-from greybox.shell.commands import app
+from greybox.shell.commands import COMMANDS, app
+from greybox.shell.study import Study
 from greybox.simulation.simulate import read_inputs, write_csv
 from models.silverbox import silverbox
 from tests.support.command import CliRunner
@@ -92,3 +94,16 @@ def test_a_discovery_needs_its_records(folder: Path) -> None:
     Path("discovery.json").write_text('{"verdict": "named"}')
     done = run("discovery.json", *BASE)
     assert done.exit_code == 2 and "discovery.json" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["design", "changed"])
+def test_records_of_a_design_are_split_as_those_of_its_fit(folder: Path, command: str) -> None:
+    k = np.r_[0:200, 260:400]
+    rows = "\n".join(f"{1e-3 * i},{np.sin(i / 9)},{np.cos(i / 7)}" for i in k)
+    Path("a.csv").write_text(f"time [s],u [V],y [V]\n{rows}\n")
+    study = COMMANDS[command].study(split_holes=True)
+    pieces = read_data([Path("a.csv")], silverbox, study)
+    assert [piece.rows for piece in pieces] == [200, 140]
+    assert Study.split_holes in COMMANDS[command].options
+    with pytest.raises(gb.GreyboxError, match="60 rows are missing"):
+        read_data([Path("a.csv")], silverbox, study.but(split_holes=False))

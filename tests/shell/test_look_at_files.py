@@ -10,6 +10,7 @@ import pytest
 from greybox.data.findings import RecordCode
 from greybox.data.survey import survey_file
 from greybox.shell.commands import app
+from greybox.shell.template import plant_names
 from tests.support.command import CliRunner
 
 
@@ -32,6 +33,10 @@ def test_a_file_is_looked_at_and_nothing_is_written(tmp_path, monkeypatch):
     assert result.exit_code == 0
     assert 'gb.Input("drive", "V")' in result.stdout and "laser 1" in result.stdout
     assert [p.name for p in tmp_path.iterdir()] == ["run.csv"]
+    # No model has these signals: a plant to start one from is named as `init` takes it.
+    assert "next: greybox init my_rig --plant PLANT\n" in result.stdout
+    offered = " ".join(result.stdout.split()).partition("PLANT: ")[2].partition(" next:")[0].split(", ")
+    assert offered == plant_names()
 
 
 def test_a_header_with_accents_keeps_its_letters(tmp_path):

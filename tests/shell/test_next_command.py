@@ -148,7 +148,7 @@ def test_a_robust_loss_after_a_fit_that_glitches_swamp():
         == "greybox fit rig.py a.csv --loss huber"
     )
     again = next_command(parse("fit", [*FILES, "--loss", "huber"]), glitched, Path("f")).spell(COMMANDS)
-    assert again == "greybox discover rig.py a.csv --loss huber"
+    assert again == "greybox discover rig.py a.csv --validate ANOTHER_RECORD.csv --loss huber"
 
 
 @pytest.mark.parametrize("start", range(44, 72, 3))
@@ -170,8 +170,52 @@ def test_a_fit_after_a_check() -> None:
 
 def test_a_fit_or_a_design_after_a_discovery() -> None:
     study = give_all("discover", *FILES)
-    check_carried(study, _next(study, make_discovery("play"), Path("model.py")), *IN_MODEL)
+    check_carried(study, _next(study, make_discovery("play"), Path("model.py")), *IN_MODEL, Study.time_limit)
     check_carried(study, _next(study, make_discovery(), Path("model.py")), *IN_RESULT)
+
+
+@pytest.mark.parametrize(
+    ("given", "effects", "typed"),
+    [
+        # A limit on the time of a search has no effect on a fit from one start.
+        (["rig.py"], ["play"], "greybox fit out/model.py a.csv --validate b.csv"),
+        (
+            ["rig.py", "--starts", "4"],
+            ["play"],
+            "greybox fit out/model.py a.csv --validate b.csv --starts 4 --time 9.0",
+        ),
+        # A model that only its file tells, and how its records are split.
+        (["rig.py", "--split-holes"], [], "greybox design out/discovery.json a.csv --split-holes --model rig.py"),
+        (["my.fmu"], [], "greybox design out/discovery.json a.csv --model my.fmu"),
+        (["emps"], [], "greybox design out/discovery.json a.csv"),
+        # A generator holds, or moves along straight lines; what is measured may be a mean.
+        (["emps", "--hold", "first"], [], "greybox design out/discovery.json a.csv --hold first"),
+        (["emps", "--hold", "mean"], [], "greybox design out/discovery.json a.csv"),
+    ],
+)
+def test_a_search_is_followed_by_what_the_next_command_takes(given, effects, typed):
+    model, *options = given
+    words = [model, "a.csv", "--validate", "b.csv", "--time", "9", *options]
+    study = parse("fit" if "--starts" in words else "discover", words)
+    following = _next(study, make_discovery(*effects), Path("out/model.py")).spell(COMMANDS)
+    assert sorted(shlex.split(following)) == sorted(shlex.split(typed))
+    name, *rest = shlex.split(following)[1:]
+    COMMANDS[name].check(parse(name, rest))
+
+
+def test_a_search_after_a_fit_without_a_second_record_has_a_placeholder():
+    following = next_command(parse("fit", [*FILES]), make_fit(), Path("f")).spell(COMMANDS)
+    assert following == "greybox discover rig.py a.csv --validate ANOTHER_RECORD.csv"
+    judged = next_command(parse("fit", [*FILES, "--validate", "b.csv"]), make_fit(), Path("f")).spell(COMMANDS)
+    assert judged == "greybox discover rig.py a.csv --validate b.csv"
+
+
+@pytest.mark.parametrize("command", ["discover", "compare"])
+def test_a_list_of_effects_that_is_given_twice_holds_both(command):
+    words = [*FILES, "--validate", "b.csv", "--effects", "play", "--effects", "cogging,backlash"]
+    study = parse(command, words)
+    assert study.candidates == ("play", "cogging", "backlash")
+    assert parse("fit", [*FILES, "--columns", "time,u", "--columns", "w"]).headers == ("time", "u", "w")
 
 
 def test_a_fit_after_a_simulation_moves_its_inputs_alike() -> None:
@@ -192,7 +236,7 @@ def test_every_option_of_a_fit_is_in_a_discovery_or_is_none_of_a_search() -> Non
     [
         ("rig", "greybox fit rig.py a.csv --effect input_offset"),
         ("rig + cogging", "greybox fit rig.py a.csv --effect input_offset --effect cogging"),
-        ("arx", "greybox discover rig.py a.csv --effect input_offset"),
+        ("arx", "greybox discover rig.py a.csv --validate ANOTHER_RECORD.csv --effect input_offset"),
     ],
 )
 def test_after_a_comparison_a_fit_adds_what_was_added_and_not_what_the_model_has(monkeypatch, best, typed):

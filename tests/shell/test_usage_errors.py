@@ -70,7 +70,8 @@ SHOW = "greybox fit --help"
         ("fit rig d.csv --hold", f"--hold: a value must follow; see {SHOW}"),
         ("fit rig", f"greybox fit: DATA is missing; write greybox fit MODEL DATA; see {SHOW}"),
         ("export", "greybox export: FIT.json is missing; write greybox export FIT.json"),
-        ("export f.json", "--to is missing; see greybox export --help"),
+        ("export f.json", "--to is missing: Linear (control: Python file"),
+        ("discover rig d.csv", "--validate FILE is missing: A validation record, which is not fitted"),
         ("init a b", "greybox init: got unexpected extra argument"),
         ("fit data.csv", "data.csv: a record, not a model; MODEL comes first: write greybox fit MODEL DATA"),
         (

@@ -102,7 +102,7 @@ def app(study: AppStudy) -> None:
     refuse_repeated(r.experiment for r in records if not r.validates)
     judges = [r.experiment for r in records if r.validates]
     inputs.check_skip(study, judges)
-    inputs.print_record_notes([r.experiment for r in records])
+    inputs.print_record_notes([r.experiment for r in records], loss=study.loss)
     session = Session(
         model,
         tuple(records),

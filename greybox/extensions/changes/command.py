@@ -14,6 +14,7 @@ from greybox.shell.study import (
     READING_LIKE,
     SHARING,
     SHOWING,
+    SPLITTING,
     VALIDATING,
     Answer,
     Command,
@@ -73,11 +74,9 @@ def changed(study: ChangeStudy) -> Answer:
 def _next(known: Fit, result: ChangeDetection, study: ChangeStudy) -> NextCommand | str:
     """What has changed is fitted anew; records that do not tell are followed by a better one."""
     from greybox.extensions.changes.result import ChangeVerdict
-    from greybox.shell.project import is_model_path
 
-    model = ["--model", study.model] if is_model_path(study.model) else []
     if result.verdict is ChangeVerdict.CANNOT_TELL:
-        return study.then("design", study.source, *model, holds=IN_RESULT)
+        return study.then("design", study.source, holds=IN_RESULT)
     if result.verdict is not ChangeVerdict.CHANGED or study.population or study.chart:
         return ""
     fixed = [f"--fix={name}={e.value:.6g}" for name, e in known.parameters.items() if e.fixed]
@@ -97,7 +96,7 @@ def _compare(known: Fit, study: ChangeStudy) -> ChangeDetection:
     refuse_repeated(record for each in records for record in each)
     validation = read_like(known, study.validation, study) if study.validation else ()
     inputs.check_skip(study, validation)
-    inputs.print_record_notes(*records, validation)
+    inputs.print_record_notes(*records, validation, loss=known.robust.name or "squares")
     if study.population:
         return survey_population(known, dict(zip(map(str, study.estimation), records, strict=True)))
     if study.chart:
@@ -121,7 +120,7 @@ def read_like(known: Fit, files: Sequence[Path], study: Study) -> tuple[Experime
     like: dict[str, Any] = {"hold": "auto"}
     for trace in known.traces[:1]:
         like = {"hold": trace.hold, "conditions": dict.fromkeys(trace.conditions)}
-    return inputs.read_files(study, files, known.model, **like)
+    return inputs.split_as_told(study, [inputs.read_files(study, files, known.model, **like)], [files])[0]
 
 
 CHANGED = Command(
@@ -137,7 +136,7 @@ CHANGED = Command(
         ),
         *(ChangeStudy.population, ChangeStudy.chart, ChangeStudy.no_effects),
         Study.skip.but(help="Rows at the start of validation records left out."),
-        *READING_LIKE,
+        *(*READING_LIKE, *SPLITTING),
         Study.sampling_time.but(help="Seconds between rows, for records without a time."),
         model_of("FIT"),
         Study.output.but(help="Folder for the results. [default: results/MODEL-changed]"),

@@ -16,6 +16,7 @@ from greybox.shell.study import (
     READING_LIKE,
     SHARING,
     SHOWING,
+    SPLITTING,
     Answer,
     Command,
     Idle,
@@ -140,11 +141,11 @@ def build_plain_model(study: Study, holder: str = "model") -> Model:
 
 
 def read_data(
-    paths: Sequence[Path], model: Model, study: Study, sampling_time: float = 0.0, **like: Any
+    paths: Sequence[Path], model: Model, study: Study, sampling_time: float = 0.0, loss: str = "squares", **like: Any
 ) -> tuple[Experiment, ...]:
     """The records, ``like`` those of a result; what is to be said of them goes to stderr. Raises GreyboxError."""
     from greybox.data.identity import refuse_repeated
-    from greybox.shell.inputs import print_record_notes, read_files
+    from greybox.shell.inputs import print_record_notes, read_files, split_as_told
 
     # --hold is that of the generator, and the sampling time one of the record to be designed: it counts for these where they have no time.
     like = {"hold": "auto", **like, "sampling_time": sampling_time or None}
@@ -155,7 +156,8 @@ def read_data(
             raise
         records = read_files(study, paths, model, **{**like, "sampling_time": None})
     refuse_repeated(records)
-    print_record_notes(records)
+    (records,) = split_as_told(study, [records], [paths])
+    print_record_notes(records, loss=loss)
     return records
 
 
@@ -202,8 +204,8 @@ def _from_discovery(path: Path, data: Sequence[Path], study: Study) -> tuple[Fit
     plain = plain.start(**{n: e["value"] for n, e in parameters.items()})
     plain = plain.fix(*(n for n, e in parameters.items() if e.get("fixed")))
     like = {"hold": content.get("hold", "auto"), "conditions": dict.fromkeys(content.get("conditions", ()))}
-    records = read_data(data, plain, study, **like)
     options = FitOptions.from_data(content.get("options", {}))
+    records = read_data(data, plain, study, loss=options.loss, **like)
     base = _fit(plain, records, {n: s for n, s in content["noise"].items() if s}, options)
     best = "+".join(e["name"] for e in content["effects"])
     alternatives = ["+".join(a) or "none" for a in content["alternatives"]]
@@ -306,7 +308,7 @@ DESIGN = Command(
         Study.estimation.but(help="Records taken so far: needed with discovery.json, fitted with a model."),
         *(*RIG, MODEL_VALUES, OWN.goal, OWN.criterion, OWN.counted, OWN.rivals, OWN.sensors),
         Study.noise.but(kind=Numbers("OUTPUT=STD", "x=2e-7"), help=f"{SENSOR_NOISE} [default: that of the fit]"),
-        *READING_LIKE,
+        *(*READING_LIKE, *SPLITTING),
         Study.sampling_time.but(help="Seconds between rows. [default: as measured]"),
         Study.duration.but(help="Duration of the record. [default: as measured]"),
         Study.effects.but(

@@ -52,7 +52,8 @@ def _spikes(finding: Finding) -> str:
     return (
         f"{finding.values.get('kind', 'output')} {finding.subject!r} jumps away and back within one row, {count}"
         f" time{'s' * (count != 1)} (at {places}): if this is"
-        f" a fault of the sensor and not the motion of the plant, {_LEAVE_EMPTY}, or fit with a robust loss (shell: --loss huber)"
+        f" a fault of the sensor and not the motion of the plant, {_LEAVE_EMPTY}, or fit with a robust loss,"
+        " FitOptions(loss='huber') (shell: --loss huber)"
     )
 
 
@@ -154,15 +155,15 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.ROWS_OF_PAST: "the record begins in motion, and what its inputs were before is not told: its first {rows} rows"
     " ({seconds:.4g} s) only tell what reaches the rest late; with --before INPUT=VALUE (before=) they count",
     RecordCode.INPUT_TAKEN_STRAIGHT: "input {subject} is smooth and carries the noise of a sensor, as what is measured does and a"
-    " computer's output does not: it is taken as straight between its rows; if it is held tell so with hold='zero' (shell: --interpolate"
-    " {subject}=zero)",
+    " computer's output does not: it is taken as straight between its rows; if it is held read the record with hold='zero' (shell:"
+    " --interpolate {subject}=zero)",
     RecordCode.INPUT_COURSE_SHARED: lambda f: (
         f"input {f.subject} is taken as {COURSES[f.values['course']]}, in all of these records alike, as most of their rows show; if it is"
         f" not so tell it (shell: --interpolate {f.subject}=zero or =first)"
     ),
     RecordCode.INPUT_COURSES_DIFFER: lambda f: (
         f"input {f.subject} is {join_names([COURSES[c] for c in f.values['courses']])} from record to record; one signal moves in one way:"
-        " tell it of all of them (hold=...)"
+        " tell it where they are read (hold=...)"
     ),
     RecordCode.TIME_ROUNDED: "time is rounded: steps from {shortest:.6g} to {longest:.6g} s differ by at most one unit of the last digit;"
     " a uniform step of {sampling_time:.6g} s is assumed",

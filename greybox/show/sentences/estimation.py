@@ -205,12 +205,12 @@ def _write_narrowed(finding: Finding) -> str:
 def _write_course_contradicted(finding: Finding) -> str:
     changes = f", with {_list_changes(finding)}" if finding.values["changes"] else ""
     which = f"input {_list_courses(finding)}" if _courses(finding) else f"every value {wording.COURSES['mean']}"
-    return f"the records fit better with {which}{changes}: {_course_remedy(finding, 'fit anew')}"
+    return f"the records fit better with {which}{changes}: {_course_remedy(finding)}"
 
 
 @writes(EstimationCode.INPUT_COURSE_OPEN)
 def _write_course_open(finding: Finding) -> str:
-    courses, remedy = _list_courses(finding), _course_remedy(finding, "if it moves so, fit anew")
+    courses, remedy = _list_courses(finding), f"if it moves so, {_course_remedy(finding)}"
     if not finding.values["changes"]:
         return f"how input {finding.subject} moves between its rows may matter, and could not be compared with {courses}; {remedy}"
     return (
@@ -234,12 +234,12 @@ def _courses(finding: Finding) -> dict[str, str]:
     )
 
 
-def _course_remedy(finding: Finding, what: str) -> str:
+def _course_remedy(finding: Finding) -> str:
     courses = _courses(finding) or "mean"
     if isinstance(courses, str):
-        return f"{what} with hold={courses!r} (shell: --hold {courses})"
+        return f"read the records with hold={courses!r} (shell: --hold {courses}) and fit anew"
     options = " ".join(f"--interpolate {name}={course}" for name, course in courses.items())
-    return f"{what} with hold={courses!r} (shell: {options})"
+    return f"read the records with hold={courses!r} (shell: {options}) and fit anew"
 
 
 def _write_input_noise(finding: Finding) -> str:

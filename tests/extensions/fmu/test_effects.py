@@ -211,7 +211,7 @@ def test_the_commands_take_an_fmu(plants, tmp_path):
     ran = invoke(app, ["simulate", plant, run, "--set", "K=33", "--no-report", "--output", str(out / "run.csv")])
     assert ran.exit_code == 0, ran.output
     refused = invoke(app, ["discover", plant, run, "--output", str(out)])
-    assert refused.exit_code == 2 and "no validation record" in refused.stderr
+    assert refused.exit_code == 2 and "--validate FILE is missing" in refused.stderr
 
 
 def test_an_effect_inside_the_fmu_is_refused(fitted):

@@ -340,20 +340,22 @@ GOLDEN = [
         "u",
         {"courses": {"u": "first"}, "odds": 91.2, "changes": {"tau": [0.468, 0.4993, 13.7], "K": [1.968, 1.998, 9.8]}},
         "the records fit better with input u straight between its rows, with tau = 0.4993 for 0.468 (14 standard deviations), K = 1.998"
-        " for 1.968 (9.8 standard deviations): fit anew with hold={'u': 'first'} (shell: --interpolate u=first)",
+        " for 1.968 (9.8 standard deviations): read the records with"
+        " hold={'u': 'first'} (shell: --interpolate u=first) and fit anew",
     ),
     (
         "input_course_contradicted",
         "u",
         {"courses": {"u": "zero"}, "odds": 40.0, "changes": {}},
-        "the records fit better with input u held between its rows: fit anew with hold={'u': 'zero'} (shell: --interpolate u=zero)",
+        "the records fit better with input u held between its rows: read the records with"
+        " hold={'u': 'zero'} (shell: --interpolate u=zero) and fit anew",
     ),
     (
         "input_course_contradicted",
         "P and Ta",
         {"courses": {"P": "zero", "Ta": "first"}, "odds": 40.0, "changes": {}},
-        "the records fit better with input P held between its rows, and Ta straight between its rows: fit anew with hold={'P': 'zero',"
-        " 'Ta': 'first'} (shell: --interpolate P=zero --interpolate Ta=first)",
+        "the records fit better with input P held between its rows, and Ta straight between its rows: read the records with"
+        " hold={'P': 'zero', 'Ta': 'first'} (shell: --interpolate P=zero --interpolate Ta=first) and fit anew",
     ),
     (
         "input_course_open",
@@ -361,14 +363,15 @@ GOLDEN = [
         # As files of earlier versions have it.
         {"course": "first", "odds": 1.5, "changes": {"tau": [0.47, 0.5, 4.06]}},
         "the records do not tell how input u moves between its rows, and it matters: with u straight between its rows they would give"
-        " tau = 0.5 for 0.47 (4.1 standard deviations); if it moves so, fit anew with hold={'u': 'first'} (shell: --interpolate u=first)",
+        " tau = 0.5 for 0.47 (4.1 standard deviations); if it moves so, read the records with"
+        " hold={'u': 'first'} (shell: --interpolate u=first) and fit anew",
     ),
     (
         "input_course_open",
         "u",
         {"courses": {"u": "zero"}, "odds": None, "changes": {}},
-        "how input u moves between its rows may matter, and could not be compared with u held between its rows; if it moves so, fit anew"
-        " with hold={'u': 'zero'} (shell: --interpolate u=zero)",
+        "how input u moves between its rows may matter, and could not be compared with u held between its rows; if it moves so,"
+        " read the records with hold={'u': 'zero'} (shell: --interpolate u=zero) and fit anew",
     ),
     (
         "start_in_first_row",

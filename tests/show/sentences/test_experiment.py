@@ -158,7 +158,8 @@ GOLDEN = {
         "x",
         {"count": 3, "times": [0.4, 1.41]},
         "output 'x' jumps away and back within one row, 3 times (at 0.4 s, 1.41 s and 1 more): if this is a fault of the sensor"
-        " and not the motion of the plant, leave these fields empty, or fit with a robust loss (shell: --loss huber)",
+        " and not the motion of the plant, leave these fields empty, or fit with a robust loss,"
+        " FitOptions(loss='huber') (shell: --loss huber)",
     ),
     RecordCode.SPIKES_LEFT_OUT: (
         "x",
@@ -186,8 +187,8 @@ GOLDEN = {
     RecordCode.INPUT_COURSES_DIFFER: (
         "u",
         {"courses": ["first", "zero"]},
-        "input u is straight between its rows and held between its rows from record to record; one signal moves in one way: tell it of"
-        " all of them (hold=...)",
+        "input u is straight between its rows and held between its rows from record to record; one signal moves in one way: tell it"
+        " where they are read (hold=...)",
     ),
     RecordCode.ROWS_OF_PAST: (
         "",
@@ -199,7 +200,8 @@ GOLDEN = {
         "T_air",
         {},
         "input T_air is smooth and carries the noise of a sensor, as what is measured does and a computer's output does not: it is taken as"
-        " straight between its rows; if it is held tell so with hold='zero' (shell: --interpolate T_air=zero)",
+        " straight between its rows; if it is held read the record with hold='zero' (shell: --interpolate"
+        " T_air=zero)",
     ),
     RecordCode.TIME_ROUNDED: (
         "",
