@@ -482,18 +482,18 @@ class NextCommand:
         """What the study says to ``command``, with the arguments."""
         held, known = {option.name for option in self.holds}, self.study.values
         carried = {n: o for n, o in command.in_study().items() if o.flags and n not in held and self.study.sets(o)}
-        told = {name: known[name] for name, option in carried.items() if option.takes(known[name])}
+        stated = {name: known[name] for name, option in carried.items() if option.takes(known[name])}
         # A result names its model: that is enough unless the model is a file.
-        if kinds.is_name_of_model(told.get("model", "")):
-            del told["model"]
+        if kinds.is_name_of_model(stated.get("model", "")):
+            del stated["model"]
         records = [o.name for o in command.table.values() if o.required and o.flags and isinstance(o.kind, kinds.Files)]
-        told = dict.fromkeys(records, (ANOTHER_RECORD,)) | told
+        stated = dict.fromkeys(records, (ANOTHER_RECORD,)) | stated
         words = [*takewhile(lambda word: not word.startswith("-"), map(str, self.arguments))]
         for argument in command.arguments:
             some = len(words) if argument.kind.repeated else 1
-            told[argument.name] = tuple(map(Path, words)) if argument.kind.repeated else "".join(words[:1])
+            stated[argument.name] = tuple(map(Path, words)) if argument.kind.repeated else "".join(words[:1])
             words = words[some:]
-        study = command.study(**told)
+        study = command.study(**stated)
         return study.but(**{o.name: o.kind.empty for relation in command.relations for o in relation.idle(study)})
 
 

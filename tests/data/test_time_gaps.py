@@ -120,7 +120,8 @@ def torn(tmp_path):
 
 @pytest.mark.parametrize("command", ["fit", "check", "discover", "compare"])
 def test_every_command_refuses_the_guess_and_writes_nothing(run, torn, tmp_path, command):
-    result = run(command, "micro_actuator", torn, "--fix", "Ra=8")
+    judges = ["--validate", torn] if command == "discover" else []
+    result = run(command, "micro_actuator", torn, *judges, "--fix", "Ra=8")
     assert result.exit_code == 2
     assert "a gap from 0.04975 to 0.0825 s: 130 rows are missing" in result.stderr
     assert not (tmp_path / "results").exists()

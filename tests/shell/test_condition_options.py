@@ -78,10 +78,14 @@ def test_a_record_that_judges_its_own_fit_is_named(folder):
     assert same.findings[-1].code == RecordCode.ALSO_FITTED and same.findings[-1].values["record"] == "low.csv"
 
 
-@pytest.mark.parametrize("command", ["check", "discover"])
-def test_other_commands_know_conditions_too(run: Run, folder, command):
-    result = run(command, "pneumatic_cylinder", folder / "low.csv", *NOISE, "--condition", "P_S=7e5,8e5,9e5")
-    assert result.exit_code == 2 and "--condition P_S: 3 values for 1 record; give one for each" in result.stderr
+@pytest.mark.parametrize(
+    ("command", "judges", "records"),
+    [("check", [], "1 record"), ("discover", ["--validate", "high.csv"], "1 record and 1 for validation")],
+)
+def test_other_commands_know_conditions_too(run: Run, folder, monkeypatch, command, judges, records):
+    monkeypatch.chdir(folder)
+    result = run(command, "pneumatic_cylinder", "low.csv", *judges, *NOISE, "--condition", "P_S=7e5,8e5,9e5")
+    assert result.exit_code == 2 and f"--condition P_S: 3 values for {records}; give one for each" in result.stderr
 
 
 @pytest.mark.parametrize(
