@@ -244,6 +244,8 @@ def find_flat_pieces(experiments: Sequence[Experiment], output: str, inputs: Seq
 
 # Different readings over all readings up to which a sensor shows codes.
 CODE_SHARE = 0.5
+# Share of them that are read more than once: a code held at rest says nothing of those that a motion runs past.
+REPEATED_CODES = 0.05
 # Share of the distances between neighbouring readings that are shorter than one step of the sensor: averaged or filtered codes.
 CODE_STEP = 0.1
 
@@ -251,8 +253,8 @@ CODE_STEP = 0.1
 def estimate_resolution(columns: Sequence[np.ndarray]) -> float:
     """The step of a sensor that shows codes; 0 where its readings are as good as continuous."""
     values = np.concatenate([c[np.isfinite(c)] for c in columns]) if columns else np.zeros(0)
-    codes = np.unique(values)
-    if len(codes) < 2 or len(codes) > CODE_SHARE * len(values):
+    codes, readings = np.unique(values, return_counts=True)
+    if len(codes) < 2 or len(codes) > CODE_SHARE * len(values) or np.mean(readings > 1) < REPEATED_CODES:
         return 0.0
     steps = np.diff(codes)
     return float(np.quantile(steps, CODE_STEP))

@@ -233,6 +233,18 @@ def test_a_sensor_in_codes_has_at_least_their_rounding():
     assert estimate_resolution([rng.normal(size=500)]) == 0.0
 
 
+@pytest.mark.parametrize("rests", [1, 2, 3])
+@pytest.mark.parametrize("speed", [40, 110, 300])
+def test_codes_that_a_motion_runs_past_are_no_step_of_the_sensor(rests, speed):
+    # An encoder that stands for as long as it moves, and then passes tens of counts from row to row.
+    count, rng = 0.0031416, np.random.default_rng(speed)
+    motion = np.cumsum(speed * (1 + 0.05 * rng.normal(size=400)))
+    codes = np.concatenate(
+        [part for m in np.split(motion, [100, 250][: rests - 1]) for part in (np.full(200, m[0]), m)]
+    )
+    assert estimate_resolution([count * np.round(codes)]) == 0.0
+
+
 def test_a_record_without_noise_has_a_ceiling_only():
     u = multisine(np.random.default_rng(6), 0.05)
     bound = bound_of(u, resonance(u))
