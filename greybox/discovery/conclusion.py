@@ -97,7 +97,7 @@ def conclude(
     return _describe(answer, surrogate, test)
 
 
-def _weigh_answer(answer: SearchAnswer) -> SearchAnswer:
+def _weigh_answer(answer: SearchAnswer, is_last: bool = False) -> SearchAnswer:
     """The answer with its claims, beside all its rivals; the usual one first among those that do equally well."""
     answer = replace(answer, location=_locate(answer, answer.plain), signals=_estimate_signals(answer))
     has_law = any(is_law(e.name) for e in answer.added)
@@ -113,8 +113,19 @@ def _weigh_answer(answer: SearchAnswer) -> SearchAnswer:
     # The records have decided: for names, or that no set of effects does better than the plain model.
     if has_law or weighed.verdict is Verdict.NAMED or not weighed.candidate.effects:
         return weighed
-    prefer = partial(_put_usual_first, weighed)
-    return answer.problem.failures.attempt(SearchStage.EVIDENCE, weighed.candidate.effects, prefer, weighed)
+    search, prefer = answer.search, partial(_put_usual_first, weighed)
+    known = set(map(key_of, search.table.candidates))
+    usual: SearchAnswer = answer.problem.failures.attempt(
+        SearchStage.EVIDENCE, weighed.candidate.effects, prefer, weighed
+    )
+    # What objects to the usual set is on the table now: where one of these wins, it is the answer, and is weighed as any other.
+    if is_last or len(search.table.candidates) == len(known):
+        return usual
+    draws = search.draw(RESAMPLES, (weighed.candidate, usual.candidate))
+    winner = leave_out_small(search.table, find_named_winner(draws, search.baseline))
+    if key_of(winner) in known:
+        return usual
+    return _weigh_answer(_hand_over(weighed, winner), is_last=True)
 
 
 def _put_usual_first(answer: SearchAnswer) -> SearchAnswer:
