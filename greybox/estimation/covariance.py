@@ -169,10 +169,10 @@ def estimate_covariance(
     prior = variables.penalty(variables.here)[2] / 2
     known = np.diag(np.pad(prior, (0, variables.size - n)))
     rows, colour = residuals.rows, colour.share_variance(problem.noise.sharing)
-    if colour.coloured:
-        information = sum_scores(variables, rows, colour).information
-        colour = give_back(variables, rows, colour, pseudo_inverse(information + known))
     sums = sum_scores(variables, rows, colour)
+    if colour.coloured:
+        behind = give_back(variables, rows, colour, sums, pseudo_inverse(sums.information + known))
+        sums, colour = (sums if behind is colour else sum_scores(variables, rows, behind)), behind
     data = sums.information
     freedom = evaluation.count - colour.unknowns + int(variables.has_prior.sum())
     # As many unknowns as readings take the residual away, and with it all that it could say of the noise.

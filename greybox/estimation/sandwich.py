@@ -193,21 +193,25 @@ LARGEST_REFLECTION = 0.999
 
 
 def give_back(
-    variables: ColumnLayout, rows: Sequence[tuple[np.ndarray, np.ndarray]], colour: ResidualColour, inverse: np.ndarray
+    variables: ColumnLayout,
+    rows: Sequence[tuple[np.ndarray, np.ndarray]],
+    colour: ResidualColour,
+    sums: ScoreSums,
+    inverse: np.ndarray,
 ) -> ResidualColour:
     """Colour and variance of the noise behind residuals of this ``colour``, whose slow parts the unknowns have followed.
 
     Of noise ``e`` with covariance ``C`` a fit leaves ``r = e - J A^-1 J'e``, whose covariance is
     ``C - J A^-1 J'C - C J A^-1 J' + J A^-1 B A^-1 J'`` with ``B = J'C J``: looked for is the noise whose residual has the size and the
-    colour that are seen. ``inverse`` (size, size): ``A^-1``. A record too long for its unknowns to matter is left as it is.
+    colour that are seen. ``sums`` are those of ``colour``, ``inverse`` (size, size) is ``A^-1``. A record too long for its unknowns to
+    matter is left as it is.
     """
     if sum(len(r) for r, _ in rows) > ROWS_AT_A_TIME:
         return colour
     seen, least = [m.autocorrelation(m.order + 1) for m in colour.models], colour.variance
     squares = [sum(float(np.nansum(r[:, j] ** 2)) for r, _ in rows) for j in range(len(seen))]
-    rho = list(seen)
+    rho, form = list(seen), sums.coloured
     for _ in range(ROUNDS_GIVEN_BACK):
-        form = sum_scores(variables, rows, colour).coloured
         share = np.sum(inverse * form) / max(np.dot(colour.variance, colour.counts), TINY)
         if not LEAST_TAKEN < share < MOST_TAKEN:
             break
@@ -222,15 +226,21 @@ def give_back(
                 for k in range(process.order + 1):
                     early, late = slice(0, len(r) - k), slice(k, len(r))
                     count = np.count_nonzero(measured[early] & measured[late])
-                    lost = taken[early] * driven[late] + driven[early] * taken[late] - followed[early] * slopes[late]
+                    # Sums over rows and columns, without a copy of either.
+                    lost = np.vdot(taken[early], driven[late]) + np.vdot(driven[early], taken[late])
                     pairs[k] += count
-                    left[k] += variance[j] * correlations[k] * count - lost.sum()
+                    left[k] += variance[j] * correlations[k] * count - lost + np.vdot(followed[early], slopes[late])
             if not squares[j] or left[0] <= 0:
                 continue
             rho[j] = rho[j] + seen[j] - left / np.maximum(pairs, 1) * pairs[0] / left[0]
             variance[j] = max(variance[j] * squares[j] / left[0], least[j])
             models[j] = _to_autoregression(rho[j])
+        growth = np.divide(variance, np.maximum(colour.variance, TINY))
         colour = replace(colour, models=tuple(models), variance=tuple(variance))
+        # What a further search would change is a hundredth of a standard deviation.
+        if np.abs(growth - 1).max() < LEAST_TAKEN:
+            break
+        form = sum_scores(variables, rows, colour).coloured
     return colour
 
 

@@ -18,7 +18,13 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import load_fit
-from greybox.estimation.sandwich import ResidualColour, compute_toeplitz_form, estimate_residual_colour, give_back
+from greybox.estimation.sandwich import (
+    ResidualColour,
+    compute_toeplitz_form,
+    estimate_residual_colour,
+    give_back,
+    sum_scores,
+)
 from greybox.estimation.uncertainty import bootstrap, profile
 from models.emps import emps
 from models.micro_actuator import micro_actuator
@@ -314,7 +320,8 @@ def test_slow_noise_that_the_constants_have_followed_is_given_back() -> None:
         noise = lfilter([1.0], [1.0, -rho], shock)[500:]
         data = [((noise - slopes @ inverse @ slopes.T @ noise)[:, None], slopes[:, None])]
         colour = estimate_residual_colour(data, 3, False)
-        for colours, each in ((seen, colour), (found, give_back(Shared(), data, colour, inverse))):
+        behind = give_back(Shared(), data, colour, sum_scores(Shared(), data, colour), inverse)
+        for colours, each in ((seen, colour), (found, behind)):
             if colour.coloured:
                 colours.append((each.models[0].autocorrelation(2)[1], each.variance[0]))
     (raw, small), (right, whole) = np.mean(seen, axis=0), np.mean(found, axis=0)
