@@ -59,9 +59,10 @@ def minimise(
     """Minimise ``objective(z).cost`` within bounds.
 
     IPOPT hands over to damped Gauss-Newton steps as soon as the quadratic model predicts well, and takes over again where a step gains
-    little of what was predicted. Where IPOPT shortens a step again and again for nothing, or finds none, damped steps go on from
-    the best point. Where they gain nothing either, the cost has a kink and its gradient misleads: the search goes on by gradient
-    sampling (``thorough``) or ends. Ctrl-C ends it after the present iteration; the best point so far is kept.
+    little of what was predicted. Where IPOPT shortens a step again and again for nothing, or finds none, damped steps go on from the best
+    point. Where they gain nothing either, the cost has a kink and its gradient misleads: the search goes on by gradient sampling
+    (``thorough``) or ends; a kink at which it stood from the start, with most of the cost promised, is no optimum. Ctrl-C ends it after the
+    present iteration; the best point so far is kept.
 
     Parameters
     ----------
@@ -146,7 +147,7 @@ def _search_with_ipopt(
     search: Minimisation, low: np.ndarray, high: np.ndarray, tolerance: float, iterations: int, thorough: bool
 ) -> None:
     """IPOPT, damped steps in its place where the quadratic model predicts well, and other methods where it gives up."""
-    policy = search.policy
+    policy, first_cost = search.policy, search.best_cost
     # Without a statistical test nothing says when damped steps are done: IPOPT's own tolerance ends the search then.
     left = policy.hand_overs if search.termination_test is not None else 0
     if left and search.is_near(low, high) and _follow_quadratic_model(search, low, high, iterations):
@@ -169,10 +170,14 @@ def _search_with_ipopt(
     search.record_solver(SolverName.GAUSS_NEWTON)
     if run_gauss_newton(search, low, high, policy.damped, steps=max(iterations - search.steps, 0)) or search.stop:
         return
+    stands = search.best_cost >= first_cost
     # The most expensive last: each round evaluates twice as many points as there are unknowns.
     if thorough:
         search.record_solver(SolverName.GRADIENT_SAMPLING)
         search.status = run_gradient_sampling(search, low, high, policy.sampling)
+        # Where no step gained from the start on, while most of the cost is promised, the slopes are wrong: no optimum.
+        if search.status is TerminationStatus.KINK and stands and not search.is_near(low, high):
+            search.status = TerminationStatus.STUCK
     else:
         search.status = TerminationStatus.STUCK
 

@@ -278,6 +278,21 @@ def scale_slopes(evaluation: Evaluation, before: DecisionVector, after: Decision
     )
 
 
+def drop_lost_slopes(evaluation: Evaluation) -> Evaluation:
+    """``evaluation`` without slopes that are lost in rounding, along which a step would have no end.
+
+    A first velocity that friction stops at once has such a slope beside those of the others.
+    """
+    curvature = evaluation.hessian.diagonal()
+    largest = curvature.max(initial=0.0)
+    lost = (curvature > 0) & (curvature <= np.finfo(float).eps ** 2 * largest)
+    # Beside slopes that overflow nothing is known of any.
+    if not lost.any() or not np.isfinite(largest):
+        return evaluation
+    kept = np.where(lost, 0.0, 1.0)
+    return replace(evaluation, gradient=evaluation.gradient * kept, hessian=evaluation.hessian * kept[:, None] * kept)
+
+
 class _Search:
     """A search in progress: where it is, and the work since the last solution.
 
@@ -407,7 +422,7 @@ class _Search:
         # Constants of a stiff model are rates, by decades apart. A brief look at a candidate begins beside an effect that is hardly there.
         is_stiff = self.problem.step.implicit and self.options.thorough and not holds_constants
         variables = variables.with_logarithms() if is_stiff else variables
-        start = scale_slopes(start, self.variables, variables)
+        start = drop_lost_slopes(scale_slopes(start, self.variables, variables))
         shooting = self.problem.shooting(variables, share)
         is_whole, low_high = share == 1, variables.bounds()
         if holds_constants:
@@ -419,8 +434,10 @@ class _Search:
         whole_prior = STIFF_PRIOR if is_stiff else 0.0
         variables.split(held).parameters[variables.logarithmic] = whole_prior if is_whole else WEAK_PRIOR * variance
 
-        def evaluate_held(z: np.ndarray) -> Evaluation:
-            e = shooting.evaluate(z)
+        def evaluate(z: np.ndarray) -> Evaluation:
+            e = drop_lost_slopes(shooting.evaluate(z))
+            if not held.any():
+                return e
             cost, gradient = e.cost + held @ z**2, e.gradient + 2 * held * z
             return replace(e, cost=cost, gradient=gradient, hessian=e.hessian + np.diag(2 * held))
 
@@ -433,7 +450,7 @@ class _Search:
             solvers = replace(solvers, damped=replace(solvers.damped, initial_damping=STIFF_DAMPING))
         policy = (CONVERGENCE if thorough else CONVERGENCE_OF_CANDIDATES) if is_whole else CONVERGENCE_IN_PART
         outcome = minimise(
-            evaluate_held if held.any() else shooting.evaluate,
+            evaluate,
             variables.here,
             *low_high,
             method=method,

@@ -101,6 +101,15 @@ def test_a_search_converges_at_a_kink_with_few_evaluations():
     assert quick.status is TerminationStatus.STUCK and quick.evaluations < result.evaluations
 
 
+def test_a_search_that_stands_while_its_slopes_promise_most_of_the_cost_is_no_success():
+    # The lowest point of 1 + |z| with slopes that belong to another function: the quadratic model falls by all of the cost.
+    def misleading(z):
+        return QuadraticModel(1 + np.abs(z).sum(), np.full(2, 2.0), 4 * np.eye(2))
+
+    result = minimise(misleading, np.zeros(2), *free(2))
+    assert result.status is TerminationStatus.STUCK and not result.status.success
+
+
 @pytest.mark.parametrize(
     "error", [RuntimeError("Maximum number of iterations reached."), np.linalg.LinAlgError("Matrix is singular.")]
 )
