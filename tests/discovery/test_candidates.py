@@ -236,7 +236,7 @@ def test_a_stiff_candidate_is_tried_with_a_bounded_number_of_steps(monkeypatch):
     problem = DiscoveryProblem(micro_actuator, (train,), {"x": 2e-7, "i": 5e-3}, (), AT_REST)
     stiff = (micro_actuator + gb.effect("cubic_damping")).bound(B=(0.0, 1e10)).start(B=1e9)
     tried = []
-    monkeypatch.setattr(gb.discovery.problem, "_rank_starts", lambda p, starts: tried.append(p.step.substeps) or [])
+    monkeypatch.setattr(gb.discovery.problem, "_rank_starts", lambda p, *_: tried.append(p.step.substeps) or [])
     assert problem.refit_best(stiff, [stiff.values]) is None
     assert tried[:2] == [MAX_SUBSTEPS, UNSTABLE_FACTOR * MAX_SUBSTEPS]
 

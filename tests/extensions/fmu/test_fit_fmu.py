@@ -135,9 +135,9 @@ def test_the_bounce_of_a_ball_is_found_through_its_events(build, version, kind):
     result = gb.fit(plant.with_values(["e"], {"e": 0.75}), record)
     low, high = result.parameters["e"].interval
     assert result.success and result.solver.statistics["simulation_equivalents"] <= 14
-    # A co-simulation sees a bounce at the end of its step only.
-    slack = 0.0 if kind == "ModelExchange" else 0.02
-    assert low - slack < 0.8 < high + slack and high - low < 0.02
+    # A co-simulation sees a bounce at the end of its step only: it errs by that, and its interval has the slow residual that this leaves.
+    slack, width = (0.0, 0.02) if kind == "ModelExchange" else (0.02, 0.03)
+    assert low - slack < 0.8 < high + slack and high - low < width
 
 
 @pytest.fixture(scope="module")
