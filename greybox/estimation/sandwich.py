@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import matmul_toeplitz, solve_toeplitz
+from scipy.linalg import matmul_toeplitz, toeplitz
 
 from greybox.base import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME, TINY
 from greybox.data.noise.noise_model import AutoRegression, NoisePolicy, fit_autoregression, join_series
@@ -86,7 +86,7 @@ def _count_degrees(process: AutoRegression, count: int) -> float:
     whitener = 1 - waves @ process.coefficients
     loudest = int(np.argmin(np.abs(whitener)))
     slope = 2 * (waves[loudest] / whitener[loudest]).real
-    variance = slope @ solve_toeplitz(rho, slope) * process.innovation_variance if process.order else 0.0
+    variance = slope @ np.linalg.pinv(toeplitz(rho)) @ slope * process.innovation_variance if process.order else 0.0
     return count / (1 + variance / 2)
 
 
@@ -247,7 +247,7 @@ def give_back(
 def _to_autoregression(rho: np.ndarray) -> AutoRegression:
     """The process with the autocorrelation ``rho`` (p + 1,) at its first lags."""
     # Yule and Walker: the last coefficient of each order is its reflection coefficient.
-    reflection = [float(solve_toeplitz(rho[:k], rho[1 : k + 1])[-1]) for k in range(1, len(rho))]
+    reflection = [float((np.linalg.pinv(toeplitz(rho[:k])) @ rho[1 : k + 1])[-1]) for k in range(1, len(rho))]
     return AutoRegression(tuple(np.clip(reflection, -LARGEST_REFLECTION, LARGEST_REFLECTION).tolist()))
 
 

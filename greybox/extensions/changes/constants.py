@@ -196,7 +196,8 @@ def _degrees(fit: Fit, residual: FittedResidual) -> float:
         return float(np.inf)
     count = sum(residual.colour.counts)
     if fit.uncertainty.kind is IntervalKind.SANDWICH:
-        return residual.colour.degrees
+        # The sandwich takes its scale from the residual, whose independent samples are fewer where it is coloured.
+        return max(float(residual.degrees.sum()), 1.0)
     # A given noise is exact as long as the residual is no larger than it; else the residual is the estimate.
     left = max(count - residual.colour.unknowns, 1)
     return float(np.inf) if restore_noise(fit).known and residual.squares <= left else float(left)

@@ -409,8 +409,8 @@ def _signals(traces: list[Trace], fit: Fit) -> doc.TableBlock:
             groups = [t.inputs if use == "input" else t.measured for t in traces]
             values = [np.asarray(g[signal.name]) for g in groups if signal.name in g]
             factor, unit = scale_to_prefix(signal.unit, *values)
-            misfit = fit.misfit.get(signal.name) if use == "measured" else None
-            noise = wording.noise_text(misfit) if misfit is not None else ""
+            std = fit.noise.std.get(signal.name) if use == "measured" else None
+            noise = f"{factor * std:.3g} {unit}" if std is not None and np.isfinite(std) else ""
             limits = f"{format_range(*values, factor=factor)} {unit}" if values else "not recorded"
             rows.append([signal.name, use, limits, noise])
     return doc.TableBlock("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)
