@@ -185,7 +185,7 @@ def sum_scores(
 # Share of the noise that the unknowns take from which it is given back: less is a hundredth of a standard deviation.
 LEAST_TAKEN = 0.02
 # Share up to which it can be: beyond, the residual shows another process than the noise.
-MOST_TAKEN = 0.75
+MOST_TAKEN = 0.4
 # Searches for the noise at most: what is left of its bias falls by more than half in each.
 ROUNDS_GIVEN_BACK = 6
 # Correlation with the row before, up to which a record tells a stationary process.
