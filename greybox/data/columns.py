@@ -28,6 +28,7 @@ from greybox.model import Model
 _DATE = re.compile(r"\d+[-/.]\d+[-/.]\d+|\d+:\d\d")
 DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([,.' ]\d{3})+([.,]\d+)?")
+# A number with one mark that may be a decimal sign: 1.5, ,5, 1,250, 12.e3.
 _MARKED = re.compile(r"[+-]?(?=[.,]?\d)\d*([.,])\d*(e[+-]?\d+)?", re.IGNORECASE)
 WITHOUT_MARKS = "the number without marks between its thousands"
 

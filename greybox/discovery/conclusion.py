@@ -98,7 +98,10 @@ def conclude(
 
 
 def _weigh_answer(answer: SearchAnswer, is_last: bool = False) -> SearchAnswer:
-    """The answer with its claims, beside all its rivals; the usual one first among those that do equally well."""
+    """The answer with its claims, beside all its rivals; the usual one first among those that do equally well.
+
+    ``is_last``: what objects to the usual one is looked for no further.
+    """
     answer = replace(answer, location=_locate(answer, answer.plain), signals=_estimate_signals(answer))
     has_law = any(is_law(e.name) for e in answer.added)
     if not (answer.search.candidates or has_law) or answer.verdict is Verdict.COMPLETE:
