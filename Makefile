@@ -46,7 +46,7 @@ docs: $(VENV)/.installed-dev ## build the documentation into site/, warnings are
 bench: export OMP_NUM_THREADS = 1
 bench: export OPENBLAS_NUM_THREADS = 1
 bench: $(VENV)/.installed-bench ## time fits against other programs (bench.json, docs/studies/speed.md; some minutes)
-	$(BIN)/python -m benchmarks.bench $(ARGS)
+	$(BIN)/python -m fits.benchmarks.bench $(ARGS)
 
 clean: ## remove the environment, builds and caches
 	rm -rf $(VENV) build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis

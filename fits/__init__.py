@@ -1,4 +1,4 @@
-"""Studies: one question, its data, its fit and its verdict per file."""
+"""Fits to copy, a file each: one question, its data, its fit and its verdict. Below: the papers, controllers, studies, benchmarks."""
 
 from __future__ import annotations
 

@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 
 import greybox as gb
-from fits.paper_page import docs_folder, markdown
-from fits.real_page import write
+from fits.papers.paper_page import docs_folder, markdown
+from fits.studies.real_page import write
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
 
 HEAD = """## The Bouc-Wen benchmark, from a mass on a spring

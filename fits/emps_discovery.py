@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 import greybox as gb
-from fits.paper_page import markdown
-from fits.real_page import arguments, verdict_text, write
+from fits.papers.paper_page import markdown
+from fits.studies.real_page import arguments, verdict_text, write
 from greybox.data.noise.noise_model import NoiseModel
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.residual_noise import estimate_residual_noise

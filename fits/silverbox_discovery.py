@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import greybox as gb
-from fits.paper_page import markdown
-from fits.real_page import arguments, verdict_text, write
+from fits.papers.paper_page import markdown
+from fits.studies.real_page import arguments, verdict_text, write
 from models.silverbox import silverbox
 
 FILES = ("train_multisine.csv", "test_multisine.csv", "test_arrow.csv")

@@ -7,14 +7,16 @@ from pathlib import Path
 from greybox.base import GreyboxError, nearest, write_file
 from greybox.shell.project import template_root
 
-FOLDERS = ("models", "fits", "notebooks")
+# Folder of a project -> where it lies beside the library.
+FOLDERS = {"models": "models", "fits": "fits", "notebooks": "docs/notebooks"}
+PLANTS = "plants"
 # Of the studies those that show how one is written; the others are about this library, and no user's rig needs them.
 STUDIES = ("__init__.py", "cascaded_tanks_base.py", "emps_dry_friction.py", "silverbox_hardening.py")
 
 
 def plant_names() -> list[str]:
     """Names of the plants that a project can start from, in alphabetical order."""
-    folders = (template_root() / "plants").iterdir()
+    folders = (template_root() / PLANTS).iterdir()
     return sorted(folder.name.replace("_", "-") for folder in folders if (folder / "study.toml").is_file())
 
 
@@ -44,7 +46,7 @@ def write_project(directory: str | Path, *, plant: str = "", force: bool = False
     if target.exists() and not target.is_dir():
         raise GreyboxError(f"{target} is a file; give a folder for the project")
     sources = _plant_files(plant) if plant else _template_files()
-    readme = (template_root() / "plants" / f"{'plant' if plant else 'project'}_readme.md").read_text(encoding="utf-8")
+    readme = (template_root() / PLANTS / f"{'plant' if plant else 'project'}_readme.md").read_text(encoding="utf-8")
     written = [target / name for name in (*sources, Path("README.md"))]
     present = [path for path in written if path.exists()]
     if present and not force:
@@ -63,12 +65,12 @@ def _plant_files(plant: str) -> dict[Path, Path]:
     """Path inside a project -> file of the template for one plant."""
     if plant not in plant_names():
         raise GreyboxError(f"unknown plant {plant!r}; {nearest(plant, plant_names())}")
-    name, root = plant.replace("-", "_"), template_root()
-    folder = root / "plants" / name
+    name, root = plant.replace("-", "_"), template_root() / PLANTS
+    folder = root / name
     return {
         Path("models") / f"{name}.py": folder / f"{name}.py",
         Path("twin.py"): folder / "twin.py",
-        Path("rk4.py"): root / "plants" / "rk4.py",
+        Path("rk4.py"): root / "rk4.py",
         Path("study.toml"): folder / "study.toml",
     }
 
@@ -76,9 +78,11 @@ def _plant_files(plant: str) -> dict[Path, Path]:
 def _template_files() -> dict[Path, Path]:
     """Path inside a project -> file of the template; what a run left behind does not count."""
     root = template_root()
-    files = [path for folder in FOLDERS for path in sorted((root / folder).rglob("*")) if path.is_file()]
     inside = {
-        path.relative_to(root): path for path in files if "__pycache__" not in path.parts and path.suffix != ".pyc"
+        Path(name) / path.relative_to(root / folder): path
+        for name, folder in FOLDERS.items()
+        for path in sorted((root / folder).rglob("*"))
+        if path.is_file() and "__pycache__" not in path.parts and path.suffix != ".pyc"
     }
     chosen = [Path("fits", study) for study in STUDIES]
     return {name: path for name, path in inside.items() if name.parts[0] != "fits" or name in chosen}

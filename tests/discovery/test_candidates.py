@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from fits.measured_rigs import falling_ball, pendulum, rotor
+from fits.studies.measured_rigs import falling_ball, pendulum, rotor
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError
 from greybox.discovery.candidates import failed_candidates, family_of, list_candidates

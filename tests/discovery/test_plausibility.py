@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from fits.measured_rigs import falling_ball, rotor
+from fits.studies.measured_rigs import falling_ball, rotor
 from greybox.discovery import plausibility
 from greybox.discovery.decision import Grade
 from greybox.discovery.findings import DiscoveryCode as Code

@@ -13,8 +13,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from fits.published_networks import NETWORKS
-from fits.stiff_problems import PROBLEMS, StiffProblem
+from fits.studies.published_networks import NETWORKS
+from fits.studies.stiff_problems import PROBLEMS, StiffProblem
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit, simulate
 from greybox.base.errors import ModelError
 from greybox.data.noise import NoiseSource

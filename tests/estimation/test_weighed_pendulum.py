@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 
 import greybox as gb
-from fits.measured_rigs import swing
+from fits.studies.measured_rigs import swing
 from greybox.estimation.findings import EstimationCode
 from tests.support.findings import find
 from tests.support.weighed_pendulum import NOISE, WEIGHED, WITH_FRICTION, swung
 
-# The folder of measured rigs, as `python -m fits.measured_certainty FOLDER` takes it; not part of this project.
+# The folder of measured rigs, as `python -m fits.studies.measured_certainty FOLDER` takes it; not part of this project.
 MEASURED = Path(os.environ.get("GREYBOX_MEASURED", "measured")) / "known" / "ak80_pendulum"
 
 

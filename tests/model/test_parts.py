@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 import greybox as gb
-from fits.measured_rigs import falling_ball, heaters, rotor
+from fits.studies.measured_rigs import falling_ball, heaters, rotor
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError
 from greybox.model.effects.catalogue import CATALOGUE

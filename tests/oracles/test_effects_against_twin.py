@@ -1,4 +1,4 @@
-"""Every effect at known constants against the independent simulator of `fits.rig_twins`, and against simulated cases."""
+"""Every effect at known constants against the independent simulator of `fits.studies.rig_twins`, and against simulated cases."""
 
 import json
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import greybox.model.effects
-from fits import rig_twins
+from fits.studies import rig_twins
 from greybox.data.experiment import Experiment
 from greybox.data.read import read_csv
 from greybox.model.effects.catalogue import CATALOGUE, effect

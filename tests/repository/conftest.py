@@ -9,6 +9,6 @@ from tests.support.sources import ROOT, nodes
 
 @pytest.fixture(scope="session", autouse=True)
 def read_sources() -> None:
-    for folder in ("greybox", "models", "fits", "plants", "tests", "benchmarks"):
+    for folder in ("greybox", "models", "fits", "plants", "tests"):
         for path in sorted((ROOT / folder).rglob("*.py")):
             nodes(path)

@@ -179,10 +179,10 @@ ALLOWED = {
 
 
 def declared(*extras: str) -> set[str]:
-    """Distributions that pyproject.toml names; all of them are imported under their own name."""
+    """Distributions that pyproject.toml names, as they are imported."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     lines = project["dependencies"] + [line for extra in extras for line in project["optional-dependencies"][extra]]
-    return {re.match(r"[\w-]+", line).group() for line in lines}
+    return {re.match(r"[\w-]+", line).group().replace("-", "_") for line in lines}
 
 
 @pytest.mark.parametrize("folder", ALLOWED)
@@ -190,7 +190,7 @@ def test_each_folder_imports_what_it_may(folder: str) -> None:
     third_party = (
         set()
         if folder == "models"
-        else declared("parquet", "hdf5", "mdf", "tdms", "ros", "excel", "frames", "fmu", "app", "study", "robots")
+        else declared("parquet", "hdf5", "mdf", "tdms", "ros", "excel", "frames", "fmu", "app", "study", "robots", "bench")
     )
     allowed = ALLOWED[folder] | third_party | set(sys.stdlib_module_names)
     foreign = [f"{found.where}: {found.module}" for found in all_imports(folder) if top(found.module) not in allowed]

@@ -13,7 +13,7 @@ nbclient = pytest.importorskip("nbclient", reason="nbclient comes with the extra
 pytest.importorskip("ipykernel", reason="ipykernel comes with the extra 'test'")
 
 ROOT = Path(__file__).resolve().parents[2]
-NOTEBOOK = ROOT / "notebooks" / "first_hour.ipynb"
+NOTEBOOK = ROOT / "docs" / "notebooks" / "first_hour.ipynb"
 SECONDS = 300  # for one cell, on a slow and busy machine
 
 

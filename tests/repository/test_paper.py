@@ -9,7 +9,7 @@ from pathlib import Path
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
-PAPER = (ROOT / "paper" / "paper.md").read_text(encoding="utf-8")
+PAPER = (ROOT / "docs" / "paper" / "paper.md").read_text(encoding="utf-8")
 
 
 def test_the_paper_is_as_long_as_its_journal_wants() -> None:
@@ -18,7 +18,9 @@ def test_the_paper_is_as_long_as_its_journal_wants() -> None:
 
 
 def test_every_citation_has_its_entry_and_the_reverse() -> None:
-    entries = re.findall(r"^@\w+\{(\w+),", (ROOT / "paper" / "paper.bib").read_text(encoding="utf-8"), re.MULTILINE)
+    entries = re.findall(
+        r"^@\w+\{(\w+),", (ROOT / "docs" / "paper" / "paper.bib").read_text(encoding="utf-8"), re.MULTILINE
+    )
     assert set(re.findall(r"@([A-Z]\w+)", PAPER)) == set(entries)
 
 

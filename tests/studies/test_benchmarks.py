@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks import ours, problems
-from benchmarks.rates import Mathematics, make_rate, make_rk4
+from fits.benchmarks import ours, problems
+from fits.benchmarks.rates import Mathematics, make_rate, make_rk4
 
 PLAIN = Mathematics(math.tanh, math.sqrt, max, lambda condition, yes, no: yes if condition else no)
 

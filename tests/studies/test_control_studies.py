@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from fits import control_micro_actuator, control_page, control_pneumatic
-from fits.control_design import channel, closest, design, margins
-from fits.control_loop import Hand, Moves, closed_loop, judged, overshoot, settled
-from fits.control_study import BLACK, COMPENSATED, KNOWING, PLAIN, designs_of, effects_of, grey_plant
-from fits.rig_twins import Actuator
+from fits.control import micro_actuator, page, pneumatic
+from fits.control.design import channel, closest, design, margins
+from fits.control.loop import Hand, Moves, closed_loop, judged, overshoot, settled
+from fits.control.study import BLACK, COMPENSATED, KNOWING, PLAIN, designs_of, effects_of, grey_plant
+from fits.studies.rig_twins import Actuator
 
-ACTUATOR, CYLINDER = control_micro_actuator.SETTING, control_pneumatic.SETTING
+ACTUATOR, CYLINDER = micro_actuator.SETTING, pneumatic.SETTING
 KNOWN = (ACTUATOR.model + gb.effect("coulomb_friction")).start(Fc=0.05)
 
 
@@ -106,11 +106,11 @@ def test_a_rig_of_the_family_has_the_effects_of_the_fit():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["control_micro_actuator", "control_pneumatic"])
+@pytest.mark.parametrize("name", ["micro_actuator", "pneumatic"])
 def test_knowing_the_friction_helps(name, tmp_path):
-    module = importlib.import_module(f"fits.{name}")
+    module = importlib.import_module(f"fits.control.{name}")
     found = module.study(module.SETTING)
     module.verdict(found)
-    text = control_page.section("Rig", name, module.WORDS, found, tmp_path)
+    text = page.section("Rig", name, module.WORDS, found, tmp_path)
     assert text.count("| grey-box with it, compensated |") == 2  # at the head of one table, before a row of the other
     assert (tmp_path / "figures" / f"{name}.png").stat().st_size > 10_000

@@ -1,8 +1,8 @@
-"""Programs that fit and end at random moments: ``benchmarks/ends.py`` runs as many as are asked for."""
+"""Programs that fit and end at random moments: ``fits/benchmarks/ends.py`` runs as many as are asked for."""
 
 import pytest
 
-from benchmarks import ends
+from fits.benchmarks import ends
 
 
 @pytest.mark.slow

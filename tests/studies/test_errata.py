@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fits import micromotion_printed as wang
-from fits import pneumatic_printed as chapter
-from fits.micromotion_smoothing import compare_numerators
-from fits.micromotion_twin import in_micrometres, step_record
-from fits.pneumatic_nine_experiments import AMPLITUDES, FREQUENCIES
+from fits.papers import micromotion_printed as wang
+from fits.papers import pneumatic_printed as chapter
+from fits.papers.micromotion_smoothing import compare_numerators
+from fits.papers.micromotion_twin import in_micrometres, step_record
+from fits.papers.pneumatic_nine_experiments import AMPLITUDES, FREQUENCIES
 from greybox.base.errors import DataError
 from greybox.base.units import parse_unit
 from greybox.comparison.blackbox.arx import arx

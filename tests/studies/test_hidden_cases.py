@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fits.hidden_cases import FOREIGN, PERIOD, make
-from fits.hidden_page import knows_place
-from fits.rig_twins import simulate
+from fits.studies.hidden_cases import FOREIGN, PERIOD, make
+from fits.studies.hidden_page import knows_place
+from fits.studies.rig_twins import simulate
 
 
 @pytest.mark.parametrize("rig", FOREIGN)

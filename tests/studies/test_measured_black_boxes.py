@@ -3,7 +3,7 @@
 import pytest
 
 import greybox as gb
-from fits import measured_baselines as study
+from fits.studies import measured_baselines as study
 
 
 @pytest.fixture(scope="module")

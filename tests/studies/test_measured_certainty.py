@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from fits.measured_certainty import is_same, judge_claim, round_trip, run_in_c, said, tell_effects, write_page
-from fits.measured_rigs import RIGS, SEARCHES
+from fits.studies.measured_certainty import is_same, judge_claim, round_trip, run_in_c, said, tell_effects, write_page
+from fits.studies.measured_rigs import RIGS, SEARCHES
 from greybox.discovery.disturbance_sites import list_disturbance_sites
 from greybox.model.effects.catalogue import AT, all_effects
 

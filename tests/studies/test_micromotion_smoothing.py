@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from fits import micromotion_printed as wang
-from fits.micromotion_smoothing import (
+from fits.papers import micromotion_printed as wang
+from fits.papers.micromotion_smoothing import (
     NUMERATOR_STRUCTURES,
     DrawCounts,
     DrawIntervals,
@@ -20,7 +20,7 @@ from fits.micromotion_smoothing import (
     monte_carlo_smoothing,
     search_grid,
 )
-from fits.micromotion_twin import ROWS, in_micrometres, step_record
+from fits.papers.micromotion_twin import ROWS, in_micrometres, step_record
 
 TS = wang.SAMPLING_TIME
 FEW = DrawCounts(amplitude=6, ratio=3, phase=3, frequency=4, decay=3)

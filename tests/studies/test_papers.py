@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fits import (
+import fits.papers.__main__ as papers
+from fits.papers import (
     micromotion_chirp,
     micromotion_feed_through,
     micromotion_page,
     micromotion_paper,
-    papers,
     pneumatic_paper,
     pneumatic_supply,
 )
-from fits import micromotion_printed as wang
-from fits import pneumatic_printed as chapter
-from fits.micromotion_smoothing import find_resonance
-from fits.paper_page import rms_log
+from fits.papers import micromotion_printed as wang
+from fits.papers import pneumatic_printed as chapter
+from fits.papers.micromotion_smoothing import find_resonance
+from fits.papers.paper_page import rms_log
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "studies" / "paper_tables.md"
 
@@ -85,7 +85,7 @@ def test_only_the_physical_model_can(study):
 
 
 def test_one_command_runs_every_study_of_the_page():
-    assert {study.__name__.removeprefix("fits.") for study in papers.STUDIES} == {
+    assert {study.__name__.removeprefix("fits.papers.") for study in papers.STUDIES} == {
         "micromotion_page",
         "micromotion_chirp",
         "micromotion_feed_through",

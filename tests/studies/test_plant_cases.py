@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from fits.plant_cases import SETUPS, make
-from fits.plant_twins import PLANTS, simulate
+from fits.studies.plant_cases import SETUPS, make
+from fits.studies.plant_twins import PLANTS, simulate
 from greybox.shell.project import find_model
 
 AT_REST = gb.FitOptions(at_rest=True)

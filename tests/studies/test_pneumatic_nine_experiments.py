@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fits import pneumatic_nine_experiments as study
+from fits.papers import pneumatic_nine_experiments as study
 from greybox.simulation.simulate import simulate_twin
 from models.pneumatic_full import pneumatic_full
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fits.published_problems import PROBLEMS, fit_from
+from fits.studies.published_problems import PROBLEMS, fit_from
 
 pytestmark = pytest.mark.rest
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fits import cascaded_tanks_discovery, emps_discovery, silverbox_discovery
-from fits.real_page import arguments
+from fits.studies.real_page import arguments
 from greybox import Experiment, FitOptions, fit, simulate
 from greybox.model.effects.catalogue import applicable_effects, effect
 from greybox.model.signals import NamedValues

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fits.rig_twins import simulate
+from fits.studies.rig_twins import simulate
 from greybox.data.experiment import Experiment
 from greybox.estimation.options import FitOptions
 from models.micro_actuator import micro_actuator

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import greybox as gb
-from fits.measured_rigs import pendulum
+from fits.studies.measured_rigs import pendulum
 
 # By scales and a ruler, to about one and two per cent.
 WEIGHED = {"J": (0.147, 0.003), "mgl": (2.98, 0.03)}

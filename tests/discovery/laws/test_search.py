@@ -9,8 +9,8 @@ import sympy
 from scipy.integrate import solve_ivp
 
 import greybox as gb
-from fits.law_study import run_case
-from fits.law_systems import SYSTEMS
+from fits.studies.law_study import run_case
+from fits.studies.law_systems import SYSTEMS
 from greybox import Balance, Experiment, Model, Output, Parameter, State
 from greybox.discovery import conclusion
 from greybox.discovery.claims import Depth

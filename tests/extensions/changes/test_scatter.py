@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import multivariate_normal, wishart
 
 import greybox as gb
-from fits.change_study import QUICK, coast_down, coasting
-from fits.measured_rigs import rotor
+from fits.studies.change_study import QUICK, coast_down, coasting
+from fits.studies.measured_rigs import rotor
 from greybox.extensions.changes import constants
 from greybox.extensions.changes.constants import (
     SCATTER_PIECES,

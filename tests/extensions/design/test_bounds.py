@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import greybox as gb
-from fits.design_bounds import bound_precision
+from fits.studies.design_bounds import bound_precision
 from greybox.data.signals import SignalLimit
 from greybox.extensions.design.goals import make_precision
 from greybox.extensions.design.plant import make_plant

@@ -12,7 +12,7 @@ import pytest
 from greybox import GreyboxError, Model
 from greybox.base.errors import ModelError
 from greybox.shell.project import find_model, find_shipped_model, list_models, project_root, template_root
-from greybox.shell.template import STUDIES, write_project
+from greybox.shell.template import FOLDERS, STUDIES, write_project
 
 RIG = """
 from greybox import Balance, Input, Model, Output, Parameter, State
@@ -228,7 +228,8 @@ def test_init_writes_a_project_that_works_by_itself(folder: Path, monkeypatch: p
     assert not list((folder / "rig").rglob("__pycache__"))
     for path in written:
         if path.name != "README.md":
-            assert path.read_bytes() == (template_root() / path.relative_to(folder / "rig")).read_bytes()
+            inside, *rest = path.relative_to(folder / "rig").parts
+            assert path.read_bytes() == (template_root() / FOLDERS[inside]).joinpath(*rest).read_bytes()
     monkeypatch.chdir(folder / "rig")
     assert project_root() == folder / "rig"
     assert isinstance(find_model("micro_actuator"), Model)

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import cont2discrete
 
 import greybox as gb
-from benchmarks.chains import STEP, make_chain, make_trial
+from fits.benchmarks.chains import STEP, make_chain, make_trial
 from greybox.base.errors import ModelError
 from greybox.simulation.integrators.discretisation import DEFAULT_POLICY, discretise, follow_step
 from greybox.simulation.integrators.exact_hold import exact_hold

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.ends import Case, run_case
+from fits.benchmarks.ends import Case, run_case
 from greybox.simulation.kernel import llvm_routine
 from greybox.simulation.kernel.tape import read_tape
 

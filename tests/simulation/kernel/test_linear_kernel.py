@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.signal import cont2discrete
 
 import greybox as gb
-from benchmarks.chains import NOISE, STEP, make_chain, make_trial
+from fits.benchmarks.chains import NOISE, STEP, make_chain, make_trial
 from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.integrators.input_delay import require_history
 from greybox.simulation.integrators.step import MANY_STATES

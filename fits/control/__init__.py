@@ -1,0 +1,1 @@
+"""Controllers from found models, run on the rigs themselves."""
