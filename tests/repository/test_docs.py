@@ -198,7 +198,9 @@ def test_pages_of_studies_find_their_way_into_the_navigation(hooks) -> None:
     listed = {"nav": [{"Start": "index.md"}, {"More": [decisions]}, {"Studies": ["studies/errata.md"]}]}
     nav = list(hooks._pages(hooks.on_config(type("Config", (), listed)).nav))
     written = [p.relative_to(DOCS).as_posix() for p in DOCS.glob("*/*.md")]
-    assert sorted(nav) == sorted(["index.md", *(page for page in written if not page.startswith(("gallery/", "paper/")))])
+    assert sorted(nav) == sorted(
+        ["index.md", *(page for page in written if not page.startswith(("gallery/", "paper/")))]
+    )
     assert all(page.startswith("decisions/") for page in decisions["Decisions"])
 
 

@@ -190,7 +190,9 @@ def test_each_folder_imports_what_it_may(folder: str) -> None:
     third_party = (
         set()
         if folder == "models"
-        else declared("parquet", "hdf5", "mdf", "tdms", "ros", "excel", "frames", "fmu", "app", "study", "robots", "bench")
+        else declared(
+            "parquet", "hdf5", "mdf", "tdms", "ros", "excel", "frames", "fmu", "app", "study", "robots", "bench"
+        )
     )
     allowed = ALLOWED[folder] | third_party | set(sys.stdlib_module_names)
     foreign = [f"{found.where}: {found.module}" for found in all_imports(folder) if top(found.module) not in allowed]
