@@ -45,11 +45,13 @@ docs: $(VENV)/.installed-dev ## build the documentation into site/, warnings are
 
 bench: export OMP_NUM_THREADS = 1
 bench: export OPENBLAS_NUM_THREADS = 1
-bench: $(VENV)/.installed-bench ## time fits against other programs (bench.json, docs/studies/speed.md; some minutes)
-	$(BIN)/python -m fits.benchmarks.bench $(ARGS)
+# An environment of its own: the other programs hold numerical libraries back that tests and types are checked with.
+bench: ## time fits against other programs (bench.json, docs/studies/speed.md; some minutes)
+	@$(MAKE) --no-print-directory VENV=.venv-bench .venv-bench/.installed-bench
+	.venv-bench/bin/python -m fits.benchmarks.bench $(ARGS)
 
 clean: ## remove the environment, builds and caches
-	rm -rf $(VENV) build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .venv-bench build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp comes last: an environment that was left half made is made again.
