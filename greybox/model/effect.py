@@ -44,6 +44,11 @@ def shape_parameter(
     return Parameter(name, unit, value, bounds, source=source, description=description)
 
 
+def fixed_parameter(name: str, unit: str, value: float, bounds: tuple[float, float], description: str) -> Parameter:
+    """A parameter that is not to be found: a side, or what keeps an equation smooth."""
+    return replace(shape_parameter(name, unit, value, bounds, description), fixed=True)
+
+
 def geometric_grid(low: float, high: float, count: int) -> list[float]:
     """``count`` values from ``low`` to ``high`` with equal ratios."""
     return [float(value) for value in np.geomspace(low, high, count)]
@@ -137,6 +142,7 @@ class Effect:
         Where the equation is from.
     amplitudes
         Names of the parameters that at zero, or at their ``neutral`` value, leave the effect absent; none for one that replaces a law.
+        Where they are not given they are those of `amplitude_parameter` and the ``neutral`` ones.
     neutral
         Amplitude -> the value at which it is absent, where that is not zero.
     probe
@@ -197,6 +203,11 @@ class Effect:
     limits: Callable[[Any], Mapping[str, tuple[float, float]]] | None = None
     from_parent: Callable[[Mapping[str, float], Any], list[Mapping[str, float]]] | None = None
 
+    def __post_init__(self) -> None:
+        if not self.amplitudes:
+            names = (q.name for q in self.parameters if q.source == ABSENT or q.name in self.neutral)
+            object.__setattr__(self, "amplitudes", tuple(names))
+
     @property
     def is_of_record(self) -> bool:
         """Whether it says how a record holds an input, and nothing of the plant."""
@@ -232,8 +243,8 @@ class Effect:
                 return {**added, self.site: added.get(self.site, 0) + friction}
             return added + friction
 
-        width = shape_parameter("vt", "{velocity}", speed, (0.0, math.inf), "speed below which the friction is viscous")
-        return replace(self, dry=None, terms=terms, parameters=(*self.parameters, replace(width, fixed=True)))
+        width = fixed_parameter("vt", "{velocity}", speed, (0.0, math.inf), "speed below which the friction is viscous")
+        return replace(self, dry=None, terms=terms, parameters=(*self.parameters, width))
 
 
 # What an effect may bring besides terms: states that are set after each step, delays, and states that relax.

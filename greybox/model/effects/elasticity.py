@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 import casadi as ca
 
 from greybox.model.balance import Balance
-from greybox.model.effect import Effect, amplitude_parameter, geometric_grid, shape_parameter
+from greybox.model.effect import Effect, amplitude_parameter, fixed_parameter, geometric_grid, shape_parameter
 from greybox.model.effects.scales import Scales
 from greybox.model.parts import Occurrence
 from greybox.model.signals import Expression, NamedValues, State
@@ -95,7 +94,6 @@ cubic_stiffness = Effect(
         " EMF, a cubic spring changes neither."
     ),
     source="Duffing oscillator: first odd term of the series of a symmetric spring",
-    amplitudes=("K3",),
     probe=lambda s: {"K3": s.visible_force / s.displacement**3},
     needs=("spring", "rubber"),
     occurs=Occurrence.EXOTIC,
@@ -118,7 +116,6 @@ quadratic_stiffness = Effect(
         " a mean shift and harmonics that the dynamics filter."
     ),
     source="first even term of the series of an asymmetric spring",
-    amplitudes=("K2",),
     probe=lambda s: {"K2": s.visible_force / s.displacement**2},
     needs=("spring", "rubber"),
     occurs=Occurrence.EXOTIC,
@@ -142,7 +139,6 @@ viscoelastic_creep = Effect(
         " stays; and measure the current, which a warming winding lowers and creep does not."
     ),
     source="standard linear solid (Zener): one Maxwell branch beside the spring",
-    amplitudes=("K1",),
     probe=lambda s: {"K1": s.visible_force / s.displacement},
     # Faster than the body itself it is damping, slower than the record a stiffness.
     grid=lambda s: {"tau1": geometric_grid(max(s.fastest, 4 * s.period), 0.5 * s.duration, 5)},
@@ -176,7 +172,6 @@ bouc_wen_hysteresis = Effect(
     ),
     approaches=("coulomb_friction",),
     source="R. Bouc 1967; Y. K. Wen 1976, Method for random vibration of hysteretic systems (exponent 1)",
-    amplitudes=("alpha",),
     probe=lambda s: {"alpha": s.visible_force / s.displacement},
     grid=lambda s: {"beta": geometric_grid(0.3 / s.displacement, 30 / s.displacement, 5), "gamma": [0.0]},
     limits=_hysteresis_limits,
@@ -227,7 +222,6 @@ second_mode = Effect(
         " short delay of the input."
     ),
     source="two masses and a spring (Rayleigh, The Theory of Sound)",
-    amplitudes=("k2", "c2"),
     neutral={"k2": NEUTRAL_COUPLING, "c2": NEUTRAL_COUPLING},
     grid=_second_grid,
     limits=_second_limits,
@@ -250,7 +244,6 @@ return_spring = Effect(
         " decay; without them both draw the piston back."
     ),
     source="Hooke's law, for a cylinder that is pushed back by a spring",
-    amplitudes=("Ks",),
     probe=lambda s: {"Ks": s.visible_force / s.displacement},
     needs=("spring",),
     occurs=Occurrence.RARE,
@@ -365,7 +358,7 @@ end_stop = Effect(
         STIFFNESS,
         shape_parameter("gap", "{displacement}", 0.0, (-1e9, 1e9), "position at which the stop begins"),
         # Which end it is at: no constant to be found, both are tried.
-        replace(shape_parameter("side", "1", 1.0, (-1.0, 1.0), "1 for a stop above, -1 for one below"), fixed=True),
+        fixed_parameter("side", "1", 1.0, (-1.0, 1.0), "1 for a stop above, -1 for one below"),
     ],
     terms=lambda x, u, p: -p.kc * p.side * ca.fmax(p.side * (x.displacement - p.gap), 0),
     equation="-kc max(x - gap, 0), or kc max(gap - x, 0) for a stop below",
@@ -373,7 +366,6 @@ end_stop = Effect(
     parity="even",
     tells_apart=STOP_TEXT,
     source=STOP_SOURCE,
-    amplitudes=("kc",),
     probe=_stop_probe,
     grid=_one_grid,
     limits=_one_limits,
@@ -396,7 +388,6 @@ end_stops = Effect(
     parity="odd",
     tells_apart=STOP_TEXT,
     source=STOP_SOURCE,
-    amplitudes=("kc",),
     probe=_stop_probe,
     grid=lambda s: {"gap": [share * s.displacement for share in STOP_EDGES]},
     limits=lambda s: {"kc": _stiffest(s), "gap": (NEAREST_STOP * s.displacement, s.displacement)},
@@ -421,7 +412,6 @@ cogging = Effect(
         " friction has no such positions, and a hum from outside keeps its frequency at every speed."
     ),
     source="slot harmonics of motors with permanent magnets: D. Hanselman, Brushless Permanent Magnet Motor Design, 2003",
-    amplitudes=("F", "Fq"),
     probe=lambda s: {"F": s.visible_force, "Fq": s.visible_force},
     grid=_pitch_grid,
     limits=_pitch_limits,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import casadi as ca
 
 from greybox.model.balance import Balance
-from greybox.model.effect import Effect, amplitude_parameter, geometric_grid, shape_parameter
+from greybox.model.effect import Effect, amplitude_parameter, fixed_parameter, geometric_grid, shape_parameter
 from greybox.model.parts import Occurrence
 from greybox.model.signals import Expression, NamedValues, State
 
@@ -42,7 +41,6 @@ force_constant_droop = Effect(
         " force of a cubic spring with the displacement."
     ),
     source="bell-shaped force of a voice coil over its stroke; Klippel 2006, Loudspeaker nonlinearities, Bl(x)",
-    amplitudes=("a",),
     probe=lambda s: {"a": 0.03 / s.displacement**2},
     needs=("voice_coil",),
     occurs=Occurrence.EXOTIC,
@@ -69,7 +67,6 @@ winding_heating = Effect(
         " is."
     ),
     source="temperature coefficient of copper, 0.39 % per kelvin, with one thermal time constant",
-    amplitudes=("Rth",),
     probe=lambda s: {"Rth": 0.1 / (s.input * s.current)},
     grid=lambda s: {"tau_th": geometric_grid(0.02 * s.duration, 2 * s.duration, 4)},
     needs=("motor", "voice_coil"),
@@ -100,7 +97,6 @@ eddy_current = Effect(
         " a slow amplifier lets it lag."
     ),
     source="semi-inductance of a coil in iron with one loop: Klippel 2006, Loudspeaker nonlinearities",
-    amplitudes=("Re",),
     neutral={"Re": 1e6},
     grid=lambda s: {"Re": [factor * s.input / s.current for factor in (30.0, 5.0, 1.0, 0.3)]},
     needs=("motor", "voice_coil"),
@@ -120,7 +116,6 @@ saturating_inductance = Effect(
         " changes where it ends, not how it begins."
     ),
     source="differential inductance of a coil on iron: R. Erickson, D. Maksimovic, Fundamentals of Power Electronics",
-    amplitudes=("a",),
     probe=lambda s: {"a": 0.1 / s.current**2},
     needs=("motor", "voice_coil"),
     occurs=Occurrence.RARE,
@@ -137,10 +132,7 @@ brush_drop = Effect(
         amplitude_parameter(
             "Ub", "{voltage}", "drop of brushes, a diode or another contact, nearly the same at every current", low=0.0
         ),
-        replace(
-            shape_parameter("ib", "{current}", 1e-3, (1e-12, 1e6), "current within which the drop builds up"),
-            fixed=True,
-        ),
+        fixed_parameter("ib", "{current}", 1e-3, (1e-12, 1e6), "current within which the drop builds up"),
     ],
     terms=lambda x, u, p: -p.Ub * ca.tanh(x.current / p.ib),
     equation="-Ub sign(i), smooth within ib",
@@ -150,7 +142,6 @@ brush_drop = Effect(
         " shows the same, but only in its own voltage. Dry friction lets current flow before anything moves."
     ),
     source="voltage drop of carbon brushes, 0.5 to 2 V a pair: A. Hughes, B. Drury, Electric Motors and Drives",
-    amplitudes=("Ub",),
     probe=lambda s: {"Ub": s.visible_force},
     grid=lambda s: {"ib": [BRUSH_CURRENT * s.current]},
     needs=("motor",),

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import casadi as ca
 
 from greybox.model.balance import Balance
-from greybox.model.effect import Effect, amplitude_parameter, geometric_grid, shape_parameter
+from greybox.model.effect import Effect, amplitude_parameter, fixed_parameter, geometric_grid, shape_parameter
 from greybox.model.effects.scales import VISIBLE_SHARE, Scales
 from greybox.model.parts import Occurrence
 from greybox.model.signals import Expression, NamedValues, State
@@ -87,7 +86,6 @@ chamber_leakage = Effect(
         " while the piston creeps, a return spring holds it."
     ),
     source="laminar gap at the piston seal: flow proportional to the pressure difference",
-    amplitudes=("kl",),
     # Both pressures move the piston at the rate of the chambers; a hundredth of it is visible but small.
     probe=lambda s: {"kl": 0.02 / s.fastest},
     needs=("seal",),
@@ -135,7 +133,6 @@ supply_droop = Effect(
         "Hold the valve open: the speed falls within tau_d and recovers at rest; a curved valve gain acts at once."
     ),
     source="flow resistance between reservoir and valve, with one time constant",
-    amplitudes=("r",),
     probe=lambda s: {"r": 0.03 / s.input},
     grid=lambda s: {"tau_d": geometric_grid(max(s.fastest, 4 * s.period), 0.2 * s.duration, 4)},
     occurs=Occurrence.RARE,
@@ -156,7 +153,6 @@ position_dependent_volume = Effect(
         "Repeat a small motion near both ends with the pressures measured: the smaller chamber answers faster."
     ),
     source="Linear ARX modelling of pneumatic actuator system (chapter 10), eq. 10.3",
-    amplitudes=("scale",),
     probe=lambda s: {"scale": 0.1},
     occurs=Occurrence.OCCASIONAL,
 )
@@ -171,10 +167,7 @@ root_leak = Effect(
     parameters=[
         amplitude_parameter("c", "{force}/{pressure}**0.5", "leak over the root of the pressure difference", low=0.0),
         # Below this pressure the leak is laminar; it only keeps the root smooth.
-        replace(
-            shape_parameter("laminar", "{pressure}", 1.0, (1e-12, 1e12), "pressure below which the leak is laminar"),
-            fixed=True,
-        ),
+        fixed_parameter("laminar", "{pressure}", 1.0, (1e-12, 1e12), "pressure below which the leak is laminar"),
     ],
     terms=_root_leak,
     equation="-c sqrt(abs(p)) sign(p)",
@@ -184,7 +177,6 @@ root_leak = Effect(
         " by equal ratios in equal times."
     ),
     source="orifice law of Torricelli: H. Merritt, Hydraulic Control Systems, Wiley 1967",
-    amplitudes=("c",),
     probe=lambda s: {"c": s.visible_force / s.store**0.5},
     grid=lambda s: {"laminar": [LAMINAR_SHARE * s.store]},
     occurs=Occurrence.RARE,
@@ -202,7 +194,6 @@ pump_back_pressure = Effect(
         " whatever the pressure."
     ),
     source="slope of a pump's characteristic, or its internal leak: H. Merritt, Hydraulic Control Systems, Wiley 1967",
-    amplitudes=("b",),
     probe=lambda s: {"b": VISIBLE_SHARE / s.store},
     limits=lambda s: {"b": (0.0, 10.0 / s.store)},
     occurs=Occurrence.RARE,
@@ -275,7 +266,6 @@ upper_overflow = Effect(
         " the outflow equals the inflow; after the pump has stopped the first is as if less water had come in."
     ),
     source="Schoukens, Mattsson, Wigren, Noel 2016, Cascaded tanks benchmark: part of the overflow reaches the lower tank",
-    amplitudes=("ko",),
     probe=_overflow_probe,
     grid=lambda s: {"edge": [share * s.peaks["upper_head"] for share in OVERFLOW_EDGES], "share": [0.2, 0.6]},
     limits=_overflow_limits,
@@ -297,7 +287,6 @@ lower_overflow = Effect(
         " stops, a sensor at its end shows the same value until the level has come down to it."
     ),
     source="Schoukens, Mattsson, Wigren, Noel 2016, Cascaded tanks benchmark",
-    amplitudes=("ko",),
     probe=_overflow_probe,
     grid=lambda s: {"edge": [share * s.peaks["lower_head"] for share in OVERFLOW_EDGES]},
     limits=_overflow_limits,
@@ -320,7 +309,6 @@ overflow = Effect(
         " stops; a sensor at its end shows the same value until the level has come down to it."
     ),
     source="weir, or relief valve, as straight above its edge: H. Merritt, Hydraulic Control Systems, Wiley 1967",
-    amplitudes=("ko",),
     probe=lambda s: {"ko": OVERFLOW_RATE * s.storage / s.period},
     grid=lambda s: {"edge": [share * s.store for share in OVERFLOW_EDGES]},
     limits=lambda s: {"ko": (0.0, FASTEST_OVERFLOW * s.storage / s.period)},
@@ -339,7 +327,6 @@ linear_leak = Effect(
         " a straight root of the level."
     ),
     source="laminar gap: flow proportional to the pressure",
-    amplitudes=("kl",),
     probe=lambda s: {"kl": s.visible_force / s.store},
     occurs=Occurrence.RARE,
 )
@@ -357,17 +344,13 @@ reading_curve = Effect(
             "bow", "1", "how much lower than a straight line the reading runs in between, as a share; either sign"
         ),
         # Both figures describe the way from nothing to this reading; any other would do as well.
-        replace(
-            shape_parameter("full", "{sensor}", 10.0, (1e-9, OUT_OF_REACH), "reading at which level and reading agree"),
-            fixed=True,
-        ),
+        fixed_parameter("full", "{sensor}", 10.0, (1e-9, OUT_OF_REACH), "reading at which level and reading agree"),
     ],
     on_output=_bend_reading,
     equation="y + (1 - y/full) (y0 - bow y)",
     parity="even",
     tells_apart="Read known levels at standstill: a curved reading shows there, another law of outflow does not.",
     source="calibration curve of second order of a sensor that is not proportional",
-    amplitudes=("y0", "bow"),
     probe=lambda s: {"y0": 0.02 * s.reading, "bow": 0.1},
     grid=lambda s: {"full": [s.reading]},
     needs=("analogue",),
@@ -398,9 +381,7 @@ sensor_saturation = Effect(
             "large: absent until fitted",
         ),
         # Which end it is: no constant to be found, both are tried.
-        replace(
-            shape_parameter("side", "1", 1.0, (-1.0, 1.0), "1 for the upper end, -1 for the lower one"), fixed=True
-        ),
+        fixed_parameter("side", "1", 1.0, (-1.0, 1.0), "1 for the upper end, -1 for the lower one"),
     ],
     # min(y, y_max) at the upper end; with both signs turned it is max(y, y_max) at the lower one.
     on_output=lambda value, x, u, p: p.side * ca.fmin(p.side * value, p.side * p.y_max),
@@ -411,7 +392,6 @@ sensor_saturation = Effect(
         " does."
     ),
     source="end of the range of a converter",
-    amplitudes=("y_max",),
     neutral={"y_max": OUT_OF_REACH},
     grid=_range_ends,
     occurs=Occurrence.RARE,

@@ -118,7 +118,6 @@ coulomb_friction = Effect(
         " damping rises; Bouc-Wen hysteresis turns into a spring at small amplitudes, where Coulomb friction sticks."
     ),
     source=f"Coulomb 1785; {FULL}",
-    amplitudes=("Fc",),
     probe=lambda s: {"Fc": s.visible_force},
     needs=("contact",),
     occurs=Occurrence.USUAL,
@@ -137,7 +136,6 @@ stribeck_friction = Effect(
         "Record slow motion, with reversals and starts from rest: well above vs Stribeck friction is Coulomb friction."
     ),
     source=f"R. Stribeck 1902; {FULL}",
-    amplitudes=("Fc", "Fs"),
     probe=lambda s: {"Fc": s.visible_force, "Fs": FRICTION_RATIOS[1] * s.visible_force},
     grid=lambda s: {"vs": _speed_grid(s)},
     limits=_fall_within_record,
@@ -166,7 +164,6 @@ lugre_friction = Effect(
         " LuGre and Stribeck friction are the same."
     ),
     source="Canudas de Wit, Olsson, Astrom, Lischinsky 1995, A new model for control of systems with friction",
-    amplitudes=("Fc", "Fs"),
     probe=lambda s: {"Fc": s.visible_force, "Fs": FRICTION_RATIOS[1] * s.visible_force},
     grid=_lugre_grid,
     # Bristles damped beyond ``s1`` stick to the body within a third of a sampling period, which no record shows.
@@ -188,7 +185,6 @@ viscous_damping = Effect(
         "Let it coast: under viscous damping the speed falls by equal ratios in equal times, under dry friction along a straight line."
     ),
     source="shear in a film of lubricant, force proportional to the speed (Newton)",
-    amplitudes=("B1",),
     probe=lambda s: {"B1": s.visible_force / s.velocity},
     occurs=Occurrence.COMMON,
 )
@@ -205,7 +201,6 @@ quadratic_damping = Effect(
         " damping and falls under Coulomb friction."
     ),
     source="turbulent drag, force over the square of speed (Newton)",
-    amplitudes=("B2",),
     probe=lambda s: {"B2": s.visible_force / s.velocity**2},
     needs=("fluid",),
     occurs=Occurrence.RARE,
@@ -230,7 +225,6 @@ load_dependent_friction = Effect(
         "gears and harmonic drives: Hamon, Gautier, Garrec 2010, Dynamic identification of robots with a dry friction model depending"
         " on load and velocity"
     ),
-    amplitudes=("Fc", "mu"),
     probe=lambda s: {"Fc": 0.5 * s.visible_force, "mu": VISIBLE_SHARE},
     from_parent=_loaded_from_coulomb,
     needs=("gear",),
@@ -259,7 +253,6 @@ asymmetric_friction = Effect(
         "Armstrong-Helouvry, Dupont, Canudas de Wit 1994, A survey of models, analysis tools and compensation methods for the"
         " control of machines with friction"
     ),
-    amplitudes=("Fp", "Fm"),
     probe=lambda s: {"Fp": s.visible_force, "Fm": 0.5 * s.visible_force},
     from_parent=lambda values, s: [
         {"Fp": share * values["Fc"], "Fm": (2 - share) * values["Fc"]} for share in (1.0, 1.5, 0.5)
@@ -302,7 +295,6 @@ warming_friction = Effect(
         "gears and bearings: A. Bittencourt, S. Gunnarsson 2012, Static friction in a robot joint: modeling and identification of load and"
         " temperature effects"
     ),
-    amplitudes=("Fc", "cw"),
     probe=lambda s: {"Fc": s.visible_force, "cw": VISIBLE_SHARE / (s.visible_force * s.velocity)},
     grid=lambda s: {"tau_w": [share * s.duration for share in (0.1, 0.5, 3.0)]},
     limits=lambda s: {"tau_w": (10 * s.period, 100 * s.duration)},
@@ -350,7 +342,6 @@ displacement_damping = Effect(
     parity="odd",
     tells_apart=FAMILY,
     source="B. van der Pol 1926, On relaxation-oscillations: the damping term of second order in the displacement",
-    amplitudes=("D2",),
     probe=lambda s: {"D2": s.visible_force / (s.displacement**2 * s.velocity)},
     needs=("spring", "rubber", "hysteretic"),
     occurs=Occurrence.EXOTIC,
@@ -365,7 +356,6 @@ cubic_damping = Effect(
     parity="odd",
     tells_apart=FAMILY,
     source="first odd term of the series of a symmetric damper (Rayleigh, The Theory of Sound)",
-    amplitudes=("B3",),
     probe=lambda s: {"B3": s.visible_force / s.velocity**3},
     needs=("fluid",),
     occurs=Occurrence.RARE,
@@ -391,7 +381,6 @@ directional_damping = Effect(
         "Armstrong-Helouvry, Dupont, Canudas de Wit 1994, A survey of models, analysis tools and compensation methods for the"
         " control of machines with friction"
     ),
-    amplitudes=("Ba",),
     probe=lambda s: {"Ba": s.visible_force / s.velocity},
     needs=("gear", "valve"),
     occurs=Occurrence.RARE,

@@ -39,7 +39,6 @@ gravity_torque = Effect(
         " motion; cogging does so many times a revolution, a spring grows on and on."
     ),
     source="pendulum, or unbalance of a rotor with a horizontal axis: K. Ogata, System Dynamics",
-    amplitudes=("Gs", "Gc"),
     probe=_both_amplitudes("Gs", "Gc"),
     needs=("weight",),
     occurs=Occurrence.COMMON,
@@ -71,7 +70,6 @@ torque_ripple = Effect(
         " shows at its own frequency."
     ),
     source="cogging of a permanent-magnet machine, unbalance: D. Hanselman, Brushless Permanent Magnet Motor Design",
-    amplitudes=("Fs", "Fc"),
     probe=_both_amplitudes("Fs", "Fc"),
     grid=lambda s: {"n": list(STARTING_RIPPLES)},
     needs=("motor", "gear"),
@@ -96,7 +94,6 @@ constant_load = Effect(
         " Measure the current or the pressures, or turn the rig over: a weight changes sign, an offset does not."
     ),
     source="Linear ARX modelling of pneumatic actuator system (chapter 10), section 10.2.3: F_External of eq. 10.6",
-    amplitudes=("F0",),
     probe=lambda s: {"F0": s.visible_force},
     occurs=Occurrence.COMMON,
     occurs_with={"weight": Occurrence.USUAL, "free": Occurrence.EXOTIC},

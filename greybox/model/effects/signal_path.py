@@ -52,7 +52,6 @@ input_saturation = Effect(
         " spring and choked flow do not."
     ),
     source="supply voltage of an amplifier, end stop of a spool",
-    amplitudes=("u_max",),
     neutral={"u_max": OUT_OF_REACH},
     grid=lambda s: {"u_max": [share * s.input for share in (0.97, 0.85, 0.7, 0.5)]},
     occurs=Occurrence.OCCASIONAL,
@@ -72,7 +71,6 @@ soft_saturation = Effect(
         " hardening spring bends with displacement instead, and winding heat takes its time."
     ),
     source="amplifier or valve driver that limits gradually",
-    amplitudes=("u_max",),
     neutral={"u_max": OUT_OF_REACH},
     grid=lambda s: {"u_max": [share * s.input for share in (3.0, 1.5, 0.7)]},
     # tanh leaves off long before its limit: the same loss at the peak takes a limit that is higher.
@@ -92,7 +90,6 @@ input_dead_zone = Effect(
         " which stays at zero inside the zone."
     ),
     source="crossover distortion of an amplifier",
-    amplitudes=("d",),
     probe=lambda s: {"d": 0.01 * s.input},
     occurs=Occurrence.OCCASIONAL,
     occurs_with={"motor": Occurrence.COMMON},
@@ -128,7 +125,6 @@ input_hysteresis = Effect(
         " its size; a dead zone is passed at zero only, and a lag shrinks with the frequency."
     ),
     source="play in front of the plant: M. Krasnoselskii, A. Pokrovskii, Systems with Hysteresis, Springer 1989",
-    amplitudes=("h",),
     probe=lambda s: {"h": 0.01 * s.input},
     limits=lambda s: {"h": (0.0, s.input)},
     occurs=Occurrence.RARE,
@@ -143,7 +139,6 @@ valve_hysteresis = replace(
     states=(State("w", "{valve}", description="position of the spool, as the voltage that would hold it"),),
     source="friction of the spool and remanence of its solenoid, in data sheets of proportional valves: hysteresis 2 h over the range",
     needs=("valve",),
-    occurs=Occurrence.RARE,
     occurs_with={},
 )
 
@@ -160,7 +155,6 @@ rectified_reading = Effect(
         "Reverse the motion slowly: the reading goes on at zero, or turns round there, while every other output passes through."
     ),
     source="tacho with a rectifier, flow meter without direction, converter of one sign",
-    amplitudes=("r",),
     probe=lambda s: {"r": 0.05},
     occurs=Occurrence.EXOTIC,
 )
@@ -200,7 +194,6 @@ valve_lag = Effect(
         " both are the same. Tones at 1/tau_v tell a lag, which weakens them, from a delay."
     ),
     source="first order of a spool with its spring and solenoid",
-    amplitudes=("tau_v",),
     neutral={"tau_v": NEUTRAL_LAG},
     grid=lambda s: {"tau_v": list_lags(s)},
     limits=lambda s: {"tau_v": (min(NEUTRAL_LAG, 1e-4 * s.period), s.duration)},
@@ -218,7 +211,6 @@ drive_lag = replace(
         ),
     ),
     states=(State("w", "{drive}", relaxing=True, description="what the drive delivers"),),
-    on_input=lambda value, x, u, p: x.w,
     balances=lambda x, u, p: [Balance("drive", "{drive}", p.tau_u, "w", command=u.drive, drive=-x.w)],
     equation="tau_u w' = u - w, w in the place of u",
     tells_apart=(
@@ -231,7 +223,6 @@ drive_lag = replace(
     grid=lambda s: {"tau_u": list_lags(s)},
     limits=lambda s: {"tau_u": (min(NEUTRAL_LAG, 1e-4 * s.period), s.duration)},
     needs=(),
-    occurs=Occurrence.COMMON,
     occurs_with={"actuator": Occurrence.USUAL, "motor": Occurrence.RARE},
 )
 
@@ -247,7 +238,6 @@ transport_delay = Effect(
         " a lag of amplifier, valve or sensor weakens it."
     ),
     source="transport time in a hose (about 3 ms a metre), a converter or a bus",
-    amplitudes=("delay",),
     probe=lambda s: {"delay": 0.4 * s.period},
     limits=lambda s: {"delay": (0.0, LONGEST_DELAY * s.period)},
     needs=("link",),
@@ -267,7 +257,6 @@ input_offset = Effect(
         " drive: the load stays, the offset goes; or measure the current at rest, which only the offset moves."
     ),
     source="amplifier and converter offset",
-    amplitudes=("u0",),
     probe=lambda s: {"u0": 0.01 * s.input},
     occurs=Occurrence.COMMON,
 )
@@ -286,7 +275,6 @@ input_gain = Effect(
         " a second instrument."
     ),
     source="torque constant of a drive, gain of an amplifier, calibration of a force sensor",
-    amplitudes=("g",),
     probe=lambda s: {"g": 0.03},
     occurs=Occurrence.OCCASIONAL,
     occurs_with={"video": Occurrence.COMMON},
@@ -304,9 +292,6 @@ sensor_gain = replace(
         "Read two known values at standstill: their difference shows the gain, and a third one whether the reading bends."
     ),
     source="calibration of a sensor, scale of a video",
-    needs=(),
-    occurs=Occurrence.OCCASIONAL,
-    occurs_with={"video": Occurrence.COMMON},
 )
 
 sensor_offset = Effect(
@@ -321,7 +306,6 @@ sensor_offset = Effect(
         " does another start."
     ),
     source="zero of an encoder or of a joint, of a bridge amplifier, of a pressure cell",
-    amplitudes=("y0",),
     probe=lambda s: {"y0": 0.01 * s.sensor},
     occurs=Occurrence.OCCASIONAL,
 )
@@ -350,7 +334,6 @@ rate_limit = Effect(
         " size stays at its value."
     ),
     source="rudder, control valve, slew rate of an amplifier: T. Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control",
-    amplitudes=("ts",),
     # From a change by the largest input within 3 % of the record.
     probe=lambda s: {"ts": 0.03 * s.duration / s.input},
     limits=lambda s: {"ts": (0.0, s.duration / s.input)},
@@ -383,9 +366,6 @@ reversed_reading = replace(
     on_output=lambda value, x, u, p: -value,
     equation="-y in the place of y",
     source="direction in which an encoder counts, side from which a sensor looks",
-    needs=(),
-    occurs=Occurrence.OCCASIONAL,
-    occurs_with={},
 )
 
 late_row = Effect(
@@ -412,9 +392,6 @@ early_row = replace(
         "Sample twice as fast: a row that is written early is early by half the time then, a delay of the plant or its drive stays."
     ),
     source="controller whose output acts from its next scan on, computing time of a controller",
-    needs=(),
-    occurs=Occurrence.OCCASIONAL,
-    occurs_with={},
 )
 
 gain_by_sign = Effect(
@@ -434,7 +411,6 @@ gain_by_sign = Effect(
         " the same amount; a constant load acts with the input at rest too."
     ),
     source="unequal piston areas or valve edges; amplifier with unequal branches",
-    amplitudes=("g",),
     probe=lambda s: {"g": 0.03},
     from_parent=_gain_from_offset,
     limits=lambda s: {"g": (-9.0, 1.0)},
@@ -457,7 +433,6 @@ sensor_drift = Effect(
         " down and goes back when the load is taken off."
     ),
     source="thermal drift of a displacement sensor",
-    amplitudes=("rate",),
     probe=lambda s: {"rate": 0.02 * s.sensor / s.duration},
     needs=("analogue", "slow_sensor"),
     occurs=Occurrence.RARE,
@@ -479,7 +454,6 @@ clock_skew = Effect(
         " on every rate: constants that carry a time and are known by themselves show it."
     ),
     source="frame rate of a video, or sampling rate of a recorder, that is not the nominal one",
-    amplitudes=("e",),
     probe=lambda s: {"e": 0.01},
     needs=("video",),
     occurs=Occurrence.EXOTIC,
@@ -503,7 +477,6 @@ sensor_lag = Effect(
         " from the input to this sensor a lag at either end is the same."
     ),
     source="filter of a sensor or its amplifier",
-    amplitudes=("tau_s",),
     neutral={"tau_s": NEUTRAL_LAG},
     grid=lambda s: {"tau_s": list_lags(s)},
     limits=lambda s: {"tau_s": (min(NEUTRAL_LAG, 1e-4 * s.period), s.duration)},
@@ -526,7 +499,6 @@ backlash = Effect(
         " force, friction keeps the body itself still until the force has changed."
     ),
     source="play in the coupling of a sensor",
-    amplitudes=("gap",),
     probe=lambda s: {"gap": 0.01 * s.sensor},
     needs=("gear",),
     occurs=Occurrence.OCCASIONAL,

@@ -7,10 +7,9 @@ The site is the balance of a state with the role ``temperature``; losses speak o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 from greybox.model.balance import Balance
-from greybox.model.effect import Effect, amplitude_parameter, geometric_grid, shape_parameter
+from greybox.model.effect import Effect, amplitude_parameter, fixed_parameter, geometric_grid, shape_parameter
 from greybox.model.effects.scales import Scales
 from greybox.model.parts import Occurrence
 from greybox.model.signals import Expression, NamedValues, State
@@ -38,7 +37,6 @@ heat_loss = Effect(
         " that reads too much shows the same, and a second thermometer tells."
     ),
     source="law of cooling of Newton; VDI Heat Atlas, part C",
-    amplitudes=("G",),
     probe=lambda s: {"G": s.visible_force / s.peaks["temperature"]},
     occurs=Occurrence.COMMON,
 )
@@ -57,7 +55,6 @@ heat_gain = Effect(
         " reads too much; a second thermometer tells."
     ),
     source="internal and solar gains of a zone: ISO 52016-1",
-    amplitudes=("Q0",),
     probe=lambda s: {"Q0": s.visible_force},
     occurs=Occurrence.COMMON,
 )
@@ -86,12 +83,7 @@ radiation_loss = Effect(
         amplitude_parameter(
             "kr", "{force}/{temperature}**4", "emissivity times area times 5.67e-8 W/(m^2 K^4)", low=0.0
         ),
-        replace(
-            shape_parameter(
-                "T0", "{temperature}", ZERO_CELSIUS, (0.0, 500.0), "absolute temperature at zero of the scale"
-            ),
-            fixed=True,
-        ),
+        fixed_parameter("T0", "{temperature}", ZERO_CELSIUS, (0.0, 500.0), "absolute temperature at zero of the scale"),
     ],
     terms=lambda x, u, p: -p.kr * ((x.temperature + p.T0) ** 4 - (_ambient(u, p) + p.T0) ** 4),
     equation="-kr ((T + T0)^4 - (Ta + T0)^4)",
@@ -101,7 +93,6 @@ radiation_loss = Effect(
         " temperature, by a third from 20 to 50 degrees Celsius; that of convection grows with the excess alone, most near zero."
     ),
     source="law of Stefan and Boltzmann; VDI Heat Atlas, part K",
-    amplitudes=("kr",),
     probe=_radiation_probe,
     grid=_celsius_offset,
     occurs=Occurrence.RARE,
@@ -119,10 +110,7 @@ natural_convection = Effect(
             "c", "{force}/{temperature}**1.25", "loss over the excess temperature to the power 1.25", low=0.0
         ),
         # Below this excess the loss is proportional; it only keeps the slope of the power finite.
-        replace(
-            shape_parameter("least", "{temperature}", 0.1, (1e-9, 1e3), "excess below which the loss is proportional"),
-            fixed=True,
-        ),
+        fixed_parameter("least", "{temperature}", 0.1, (1e-9, 1e3), "excess below which the loss is proportional"),
     ],
     terms=_convection,
     equation="-c (T - Ta) abs(T - Ta)^0.25",
@@ -132,7 +120,6 @@ natural_convection = Effect(
         " the curve bends; a second body that stores heat bends it too, but only after a fast change of power."
     ),
     source="laminar natural convection, Nusselt number over Rayleigh number to the power 1/4: VDI Heat Atlas, part F",
-    amplitudes=("c",),
     probe=lambda s: {"c": s.visible_force / s.peaks["temperature"] ** 1.25},
     grid=lambda s: {"least": [LEAST_EXCESS * s.peaks["temperature"]]},
     occurs=Occurrence.RARE,
@@ -155,7 +142,6 @@ heat_storage = Effect(
         " the temperature up; an ambient that drifts does so without any heating."
     ),
     source="two thermal capacities in a chain: K. Ogata, System Dynamics, section on thermal systems",
-    amplitudes=("g",),
     probe=lambda s: {"g": s.visible_force / s.peaks["temperature"]},
     grid=lambda s: {"tau_g": geometric_grid(0.02 * s.duration, s.duration, 4)},
     needs=("second_body",),
