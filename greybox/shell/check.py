@@ -6,21 +6,9 @@ import json as json_format
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greybox.shell import inputs
+from greybox.shell import inputs, options
 from greybox.shell.plants import find_plant_kind
-from greybox.shell.study import (
-    ESTIMATING,
-    INTEGRATING,
-    LAYOUT,
-    READING,
-    SHOWING,
-    SUBSTEPS,
-    Answer,
-    Command,
-    Idle,
-    NextCommand,
-    Study,
-)
+from greybox.shell.study import Answer, Command, Idle, NextCommand, Study
 from greybox.shell.terminal import write_report
 
 if TYPE_CHECKING:
@@ -110,7 +98,7 @@ def _next(study: Study, survey: FileSurvey) -> NextCommand | None:
     return None
 
 
-USED = (*ESTIMATING, *INTEGRATING, Study.outputs)
+USED = (*options.ESTIMATING, *options.INTEGRATING, Study.outputs)
 LOOKED_AT = (Study.model, Study.estimation, Study.columns, Study.headers, Study.sampling_time, Study.read_limit)
 UNUSED = tuple(option for option in USED if option not in LOOKED_AT)
 
@@ -120,14 +108,14 @@ CHECK = Command(
     (
         *(*USED, Study.estimation.but(help="Records; without them the model is simulated.")),
         Study.output.but(help="Folder for check.json and report.html. [default: results/MODEL-check]"),
-        *SHOWING,
+        *options.SHOWING,
     ),
     ("greybox check micro_actuator", "greybox check micro_actuator record.csv --fix M=0.01"),
     (
         Idle(UNUSED, "on a look at a file", is_record),
         Idle((Study.output, Study.no_report), "on a look at a file, which writes nothing", is_record),
-        Idle(READING, "on a check without records", lambda study: not (study.estimation or is_record(study))),
-        *(LAYOUT, SUBSTEPS),
+        Idle(options.READING, "on a check without records", lambda study: not (study.estimation or is_record(study))),
+        *(options.LAYOUT, options.SUBSTEPS),
     ),
     lenient=True,
 )

@@ -247,7 +247,7 @@ def _show(answer: Answer, study: Study, commands: Mapping[str, Command]) -> None
     except KeyboardInterrupt:
         exit_with_error(f"interrupted while drawing; {answer.kept}", ExitCode.INTERRUPTED)
     if study.json:
-        click.echo(answer.json(page).removesuffix("\n"))
+        click.echo(answer.as_json(page).removesuffix("\n"))
     elif not study.silent:
         following = answer.next if isinstance(answer.next, str) else answer.next.spell(commands)
         lines = wrap_command(f"next: {following}", width) if following else []

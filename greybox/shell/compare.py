@@ -7,23 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.shell import inputs
+from greybox.shell import inputs, options
 from greybox.shell.progress import ShowProgress, report_fit, report_starts, show_progress
-from greybox.shell.study import (
-    FITTING,
-    LAYOUT,
-    QUIET,
-    SHARING,
-    SHOWING,
-    STARTING,
-    SUBSTEPS,
-    VALIDATING,
-    Answer,
-    Command,
-    NextCommand,
-    Study,
-    sharing,
-)
+from greybox.shell.study import Answer, Command, NextCommand, Study
 from greybox.shell.terminal import write_report
 
 if TYPE_CHECKING:
@@ -64,8 +50,8 @@ def compare(study: Study) -> Answer:
     check_sampling_times(records, validation, [q.name for q in plain.outputs])
     if not study.silent:
         inputs.print_record_notes(records, validation, loss=study.loss)
-    options = inputs.fit_options(study)
-    given = {"noise": dict(study.noise), "quiet": quiet, "options": options}
+    fitting = inputs.fit_options(study)
+    given = {"noise": dict(study.noise), "quiet": quiet, "options": fitting}
     journal = folder / inputs.STARTS_FILE
     with open_workers(study.workers, study.cluster) as executor, show_progress(study.silent) as show:
         if study.starts > 1:
@@ -90,7 +76,7 @@ def compare(study: Study) -> Answer:
             skip=study.skip,
             beginning=study.beginning,
             steps=[k for k in study.predict if k],
-            options=options,
+            options=fitting,
             findings=findings,
         )
     journal.unlink(missing_ok=True)
@@ -213,8 +199,7 @@ def _answer(
     saved = write_json(folder / "compare.json", answer)
     return Answer(
         result,
-        lambda _: saved.read_text(encoding="utf-8"),
-        [saved],
+        files=[saved],
         page=lambda: write_report(result, folder / "report.html", fits=fits, data=fingerprints, known=known),
         pictures=lambda: _draw_pictures(result, folder),
         kept=f"the comparison is in {saved}",
@@ -232,16 +217,16 @@ COMPARE = Command(
     compare,
     "Compare a physical model with black-box models.",
     (
-        *(*FITTING, Study.estimation.but(usage="TRAIN", required=True)),
+        *(*options.FITTING, Study.estimation.but(usage="TRAIN", required=True)),
         Study.candidates.but(
             help="Also fit MODEL with each of these effects of the catalogue; A+B adds both effects to one model."
         ),
         Study.output.but(help="Folder for compare.json and the report. [default: results/MODEL-compare]"),
-        *(*SHARING, *SHOWING, Study.silent, Study.figures),
+        *(*options.SHARING, *options.SHOWING, Study.silent, Study.figures),
     ),
     (
         "greybox compare micro_actuator step.csv --validate chirp.csv --fix M=0.01 --at-rest",
         "greybox compare silverbox train.csv --validate test.csv --skip 50 --effects cubic_stiffness,cubic_stiffness+input_offset",
     ),
-    (QUIET, LAYOUT, SUBSTEPS, *VALIDATING, *STARTING, *sharing(Study.starts)),
+    (*options.FITTING_RULES, *options.sharing(Study.starts)),
 )

@@ -7,23 +7,9 @@ from typing import TYPE_CHECKING
 
 from greybox.base import ExitCode
 from greybox.base.extensions import ExtensionKind, load_extension
-from greybox.shell import inputs
+from greybox.shell import inputs, options
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import (
-    ESTIMATING,
-    IN_MODEL,
-    IN_RESULT,
-    INTEGRATING,
-    LAYOUT,
-    SHARING,
-    SHOWING,
-    SUBSTEPS,
-    VALIDATING,
-    Answer,
-    Command,
-    NextCommand,
-    Study,
-)
+from greybox.shell.study import Answer, Command, NextCommand, Study
 from greybox.shell.terminal import exit_with_error, write_report
 
 if TYPE_CHECKING:
@@ -111,18 +97,17 @@ def discover(study: Study) -> Answer:
 def _next(study: Study, result: Discovery, further: Path) -> NextCommand:
     """The extended model goes on to a fit of its own; where nothing was found, the next record is designed."""
     if not result.effects:
-        return study.then("design", further.parent / "discovery.json", *study.estimation, holds=IN_RESULT)
+        return study.then("design", further.parent / "discovery.json", *study.estimation, holds=options.IN_RESULT)
     if further.suffix != ".py":
-        return study.then("changed", further, *study.validation, holds=IN_RESULT)
-    return study.then("fit", further, *study.estimation, holds=IN_MODEL)
+        return study.then("changed", further, *study.validation, holds=options.IN_RESULT)
+    return study.then("fit", further, *study.estimation, holds=options.IN_MODEL)
 
 
 def _answer(result: Discovery, files: list[Path], following: NextCommand) -> Answer:
     saved = files[0]
     return Answer(
         result,
-        lambda _: saved.read_text(encoding="utf-8"),
-        files,
+        files=files,
         page=lambda: write_report(result, saved.parent / "report.html"),
         pictures=lambda: _draw_pictures(result, saved.parent),
         kept=f"the answer is in {saved}",
@@ -140,9 +125,17 @@ DISCOVER = Command(
     discover,
     "Find the effect that a model lacks.",
     (
-        *(*ESTIMATING, Study.candidates, Study.without, Study.without_family, Study.has, Study.lacks, Study.further),
+        *(
+            *options.ESTIMATING,
+            Study.candidates,
+            Study.without,
+            Study.without_family,
+            Study.has,
+            Study.lacks,
+            Study.further,
+        ),
         *(Study.laws, Study.priors, Study.quiet, Study.validation, Study.test, Study.skip, Study.beginning),
-        *(*INTEGRATING, Study.schedules, Study.common_noise, Study.loss, Study.transcription, Study.arc_length),
+        *(*options.INTEGRATING, Study.schedules, Study.common_noise, Study.loss, Study.transcription, Study.arc_length),
         Study.validation.but(
             help="A validation record, which is not fitted: another run, or the end of this one; may be repeated.",
             required=True,
@@ -152,11 +145,11 @@ DISCOVER = Command(
             help="End the search after so many seconds, with the best answer so far. The same command continues it."
         ),
         Study.output.but(help="Folder for the results. [default: results/MODEL-discover]"),
-        *(*SHARING, *SHOWING, Study.figures),
+        *(*options.SHARING, *options.SHOWING, Study.figures),
     ),
     (
         "greybox discover micro_actuator train.csv --validate test.csv --fix M=0.01 --at-rest",
         "greybox discover emps train.csv --validate test.csv --effects coulomb_friction,constant_load",
     ),
-    (LAYOUT, SUBSTEPS, *VALIDATING),
+    (options.LAYOUT, options.SUBSTEPS, *options.VALIDATING),
 )

@@ -9,24 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base import ExitCode, FitError, write_file
 from greybox.base.interrupts import hold_interrupts
-from greybox.shell import inputs
+from greybox.shell import inputs, options
 from greybox.shell.progress import report_starts, show_fit_progress, show_progress
-from greybox.shell.study import (
-    FITTING,
-    IN_RESULT,
-    LAYOUT,
-    QUIET,
-    SHARING,
-    SHOWING,
-    STARTING,
-    SUBSTEPS,
-    VALIDATING,
-    Answer,
-    Command,
-    NextCommand,
-    Study,
-    sharing,
-)
+from greybox.shell.study import Answer, Command, NextCommand, Study
 from greybox.shell.terminal import write_report
 
 if TYPE_CHECKING:
@@ -111,17 +96,17 @@ def fit(study: Study) -> Answer:
         with hold_interrupts():
             # Once more, with what took its time: a number that is printed stands in the file.
             write_json(saved, answer)
-    shown: dict[str, Any] = {"text": answer, "json": lambda _: saved.read_text(encoding="utf-8")}
     if interrupted or result.status == "interrupted":
         older = ", those there are of an earlier fit" if (saved.parent / "report.html").exists() else ""
         failure = f"interrupted; the best point so far is in {saved} (no figures, no report{older})"
-        return Answer(**shown, failure=failure, code=ExitCode.INTERRUPTED)
+        # No line of files: the message names it.
+        return Answer(answer, lambda _: saved.read_text(encoding="utf-8"), failure=failure, code=ExitCode.INTERRUPTED)
     failure = "" if result.success else f"no success: {result.solver.status_message}"
     if result.success and result.worse_than_constant:
         lost = ", ".join(result.worse_than_constant)
         failure = f"the model does not explain its records: worse than a constant in {lost}"
     return Answer(
-        **shown,
+        answer,
         next=next_command(study, result, saved),
         files=[saved],
         page=lambda: _write_page(answer, saved.parent / "report.html", study.uncounted),
@@ -149,7 +134,7 @@ def next_command(study: Study, result: Fit, saved: Path) -> NextCommand:
         return study.then("discover", *records)
     if not result.model.has_equations:
         return study.then("compare", *records)
-    return study.then("export", saved, "--to", "control", holds=IN_RESULT)
+    return study.then("export", saved, "--to", "control", holds=options.IN_RESULT)
 
 
 def _write_page(answer: FitAnswer, target: Path, skip: int) -> Path:
@@ -309,14 +294,14 @@ FIT = Command(
     fit,
     "Fit a model's parameters to records.",
     (
-        *(*FITTING, Study.estimation.but(required=True), Study.time_limit, Study.profiles, Study.bootstrap),
+        *(*options.FITTING, Study.estimation.but(required=True), Study.time_limit, Study.profiles, Study.bootstrap),
         Study.output.but(help="Folder for fit.json and the report. [default: results/MODEL-fit]"),
-        *(*SHARING, *SHOWING, Study.silent, Study.figures),
+        *(*options.SHARING, *options.SHOWING, Study.silent, Study.figures),
     ),
     (
         "greybox fit micro_actuator record.csv --fix M=0.01 --fix Ra=8 --validate other.csv",
         "greybox fit my/rig.py a.csv b.csv --start K=5000 --noise x=2e-7 --output results/rig",
         "greybox fit emps record.csv --effect coulomb_friction --hold first",
     ),
-    (QUIET, LAYOUT, SUBSTEPS, *VALIDATING, *STARTING, *sharing(Study.starts, Study.profiles, Study.bootstrap)),
+    (*options.FITTING_RULES, *options.sharing(Study.starts, Study.profiles, Study.bootstrap)),
 )

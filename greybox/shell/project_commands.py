@@ -11,9 +11,10 @@ import click
 
 from greybox.base import ExitCode, Finding, GreyboxError
 from greybox.base.texts import to_word
+from greybox.shell import options
 from greybox.shell.inputs import add_effects, check_writable
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import SHOWING, Answer, Command, Excludes, Idle, Needs, NextCommand, Study
+from greybox.shell.study import Answer, Command, Excludes, Idle, Needs, NextCommand, Study
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note, write_report
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ DEMO = Command(
     "Run every step on a simulated actuator.",
     (
         Study.output.but(help="Folder for records and results. [default: results/demo]"),
-        *(Study.opened, *SHOWING, Study.figures),
+        *(Study.opened, *options.SHOWING, Study.figures),
     ),
     ("greybox demo", "greybox demo --output somewhere"),
     (Excludes(Study.opened, Study.no_report, "there is a report to open, or none"),),

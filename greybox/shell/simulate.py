@@ -8,17 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from greybox.base import ExitCode, GreyboxError
-from greybox.shell.inputs import (
-    add_effects,
-    check_substeps,
-    check_writable,
-    find_plain_model,
-    layout_of,
-    limits_of,
-    refuse_broken_limits,
-    set_parameters,
-)
-from greybox.shell.study import IN_RECORD, LAYOUT, SHOWING, SUBSTEPS, Answer, Command, Idle, Needs, Study
+from greybox.shell import inputs, options
+from greybox.shell.study import Answer, Command, Idle, Needs, Study
 from greybox.shell.study_values import Numbers
 from greybox.shell.terminal import exit_with_error, print_note, write_report
 
@@ -44,14 +35,14 @@ def simulate(study: Study) -> Answer:
     from greybox.simulation.simulate import read_inputs, write_csv
     from greybox.simulation.simulate import simulate as simulate_model
 
-    plant = set_parameters(add_effects(find_plain_model(study), study.effects), study)
+    plant = inputs.set_parameters(inputs.add_effects(inputs.find_plain_model(study), study.effects), study)
     target = _target(study.output or Path("results") / f"{plant.name}-simulated.csv", study.input)
-    check_substeps(study, plant)
+    inputs.check_substeps(study, plant)
     noise_std = dict(study.noise)
     generator = np.random.default_rng(study.draws)
     chosen = _one_drive(plant, study)
     if study.input is not None:
-        experiment = read_inputs(study.input, plant, hold=study.hold, **layout_of(study))  # type: ignore[arg-type]
+        experiment = read_inputs(study.input, plant, hold=study.hold, **inputs.layout_of(study))  # type: ignore[arg-type]
         gap = find_longest_time_gap(experiment.time, code=RecordCode.INPUT_HELD_THROUGH_GAP)
         if gap is not None:
             print_note(f"note: {experiment.source}: {gap}")
@@ -70,7 +61,7 @@ def simulate(study: Study) -> Answer:
             f"{plant.title}: the simulation overflows {run.overflow:.4g} s after its start; nothing was written",
             ExitCode.UNSUCCESSFUL,
         )
-    refuse_broken_limits(run, limits_of(study))
+    inputs.refuse_broken_limits(run, inputs.limits_of(study))
     write_csv(run.record(noise_std, generator), plant, target)
     from greybox.shell.answers import SimulationAnswer
 
@@ -80,7 +71,7 @@ def simulate(study: Study) -> Answer:
         SimulationAnswer(run, plant, added),
         lambda report: _as_json(run, target, report),
         [target],
-        next=study.then("fit", study.model, target, holds=IN_RECORD) if plant.free_parameters else "",
+        next=study.then("fit", study.model, target, holds=options.IN_RECORD) if plant.free_parameters else "",
         page=(lambda: write_report(run, target.with_suffix(".html"), model=plant, noise=added))
         if study.output
         else None,
@@ -101,15 +92,15 @@ def _as_json(run: Simulation, target: Path, report: Path | None) -> str:
     )
 
 
-def _target(path: Path, inputs: Path | None) -> Path:
+def _target(path: Path, source: Path | None) -> Path:
     """``path``, unless it cannot be written or is the file that is read."""
     if path.is_dir():
         raise GreyboxError(f"--output {path}: it is a folder; give a file that ends in .csv")
     if path.suffix.lower() != ".csv":
         raise GreyboxError(f"--output {path}: the record is written as CSV; give a file that ends in .csv")
-    if inputs is not None and path.exists() and inputs.exists() and path.samefile(inputs):
+    if source is not None and path.exists() and source.exists() and path.samefile(source):
         raise GreyboxError(f"--output {path}: it is the input file, which would be overwritten; give another file")
-    check_writable(path.parent)
+    inputs.check_writable(path.parent)
     return path
 
 
@@ -151,10 +142,10 @@ def _signal(model: Model, chosen: Mapping[str, float], study: Study, generator: 
         if study.band is None:
             raise GreyboxError("--band (not given): write it as LOW:HIGH in Hz, as in --band 5:800")
         u += chirp(time, *study.band, size) if shape == "chirp" else multisine(time, *study.band, size, generator)  # type: ignore[arg-type]
-    inputs = {i.name: u if k == 0 else np.zeros(rows) for k, i in enumerate(model.inputs)}
+    driven = {i.name: u if k == 0 else np.zeros(rows) for k, i in enumerate(model.inputs)}
     # The plant was at rest in the offset before the signal began, and in zero on the other inputs.
     before = {i.name: study.offset if k == 0 else 0.0 for k, i in enumerate(model.inputs)} | dict(study.before)
-    return Experiment("simulated", time, inputs, {}, study.hold, before=before)  # type: ignore[arg-type]
+    return Experiment("simulated", time, driven, {}, study.hold, before=before)  # type: ignore[arg-type]
 
 
 SHAPES = (Study.step, Study.multisine, Study.chirp)
@@ -180,7 +171,7 @@ SIMULATE = Command(
             help="Range of an input, output or state: a run that leaves it ends with exit code 1, as a rig's emergency stop would."
         ),
         Study.output.but(usage="--output FILE", help="CSV file to write. [default: results/MODEL-simulated.csv]"),
-        *SHOWING,
+        *options.SHOWING,
     ),
     (
         "greybox simulate micro_actuator --step 1 --duration 0.2 --sampling-time 2.5e-4",
@@ -189,7 +180,7 @@ SIMULATE = Command(
         "greybox simulate my/rig.py input.csv --set K=5000 --output simulated.csv",
     ),
     (
-        *(LAYOUT, SUBSTEPS),
+        *(options.LAYOUT, options.SUBSTEPS),
         Idle((Study.band, *SHAPING), "beside a file of inputs", lambda study: study.input is not None),
         Idle((Study.band,), "beside this test signal", lambda study: study.multisine is None and study.chirp is None),
         Idle(

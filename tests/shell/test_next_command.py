@@ -18,7 +18,8 @@ from greybox.shell import command_line, compare
 from greybox.shell.commands import COMMANDS
 from greybox.shell.discover import _next
 from greybox.shell.fit import next_command
-from greybox.shell.study import IN_MODEL, IN_RECORD, IN_RESULT, NextCommand, Study
+from greybox.shell.options import IN_MODEL, IN_RECORD, IN_RESULT
+from greybox.shell.study import NextCommand, Study
 from greybox.shell.study_values import Switch
 from greybox.show.printers.text import wrap_command
 

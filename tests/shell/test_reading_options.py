@@ -18,7 +18,8 @@ from greybox.extensions.design.command import read_data
 from greybox.extensions.fleet.records import RecordCollection, find_records
 from greybox.shell.commands import COMMANDS
 from greybox.shell.inputs import layout_of, read_quiet_records, read_records
-from greybox.shell.study import READING, Study
+from greybox.shell.options import READING
+from greybox.shell.study import Study
 
 lag = Model(
     "lag",

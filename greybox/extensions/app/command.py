@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, TypedDict
 import click
 
 from greybox.base import GreyboxError, ModelError
-from greybox.shell import inputs
+from greybox.shell import inputs, options
 from greybox.shell.fit import FIT
-from greybox.shell.study import LAYOUT, SUBSTEPS, Command, Idle, Option, Study
+from greybox.shell.study import Command, Idle, Option, Study
 from greybox.shell.study_file import study_text
 from greybox.shell.study_script import study_script
 from greybox.shell.study_values import Count, Switch
@@ -271,7 +271,7 @@ COMMAND = Command(
         "greybox app study.toml",
     ),
     (
-        *(LAYOUT, SUBSTEPS),
+        *(options.LAYOUT, options.SUBSTEPS),
         Idle(NOT_HERE, "in the app", remedy=", and give {it} to greybox fit with the study that the app exports"),
     ),
     study=AppStudy,

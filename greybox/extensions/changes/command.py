@@ -6,25 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.shell import inputs
+from greybox.shell import inputs, options
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import (
-    IN_RESULT,
-    LAYOUT,
-    READING_LIKE,
-    SHARING,
-    SHOWING,
-    SPLITTING,
-    VALIDATING,
-    Answer,
-    Command,
-    Excludes,
-    Idle,
-    NextCommand,
-    Option,
-    Study,
-    model_of,
-)
+from greybox.shell.study import Answer, Command, Excludes, Idle, NextCommand, Option, Study
 from greybox.shell.study_values import Switch
 from greybox.shell.terminal import write_report
 
@@ -63,9 +47,8 @@ def changed(study: ChangeStudy) -> Answer:
     saved = result.save(folder / "changed.json")
     return Answer(
         result,
-        lambda _: saved.read_text(encoding="utf-8"),
-        [saved],
-        lambda: write_report(result, folder / "index.html"),
+        files=[saved],
+        page=lambda: write_report(result, folder / "index.html"),
         kept=f"the verdict is in {saved}",
         next=_next(known, result, study),
     )
@@ -76,12 +59,14 @@ def _next(known: Fit, result: ChangeDetection, study: ChangeStudy) -> NextComman
     from greybox.extensions.changes.result import ChangeVerdict
 
     if result.verdict is ChangeVerdict.CANNOT_TELL:
-        return study.then("design", study.source, holds=IN_RESULT)
+        return study.then("design", study.source, holds=options.IN_RESULT)
     if result.verdict is not ChangeVerdict.CHANGED or study.population or study.chart:
         return ""
     fixed = [f"--fix={name}={e.value:.6g}" for name, e in known.parameters.items() if e.fixed]
     effects = [f"--effect={e.name}" for e in known.model.effects]
-    return study.then("fit", study.model or known.model.name, *study.estimation, *effects, *fixed, holds=IN_RESULT)
+    return study.then(
+        "fit", study.model or known.model.name, *study.estimation, *effects, *fixed, holds=options.IN_RESULT
+    )
 
 
 def _compare(known: Fit, study: ChangeStudy) -> ChangeDetection:
@@ -136,11 +121,11 @@ CHANGED = Command(
         ),
         *(ChangeStudy.population, ChangeStudy.chart, ChangeStudy.no_effects),
         Study.skip.but(help="Rows at the start of validation records left out."),
-        *(*READING_LIKE, *SPLITTING),
+        *(*options.READING_LIKE, *options.SPLITTING),
         Study.sampling_time.but(help="Seconds between rows, for records without a time."),
-        model_of("FIT"),
+        options.model_of("FIT"),
         Study.output.but(help="Folder for the results. [default: results/MODEL-changed]"),
-        *(*SHARING, *SHOWING),
+        *(*options.SHARING, *options.SHOWING),
     ),
     (
         "greybox changed results/rig-fit/fit.json today.csv",
@@ -150,10 +135,10 @@ CHANGED = Command(
     ),
     (
         Excludes(ChangeStudy.population, ChangeStudy.chart, "several machines, or one over time"),
-        LAYOUT,
-        *VALIDATING,
+        options.LAYOUT,
+        *options.VALIDATING,
         Idle(
-            (Study.validation, *SHARING),
+            (Study.validation, *options.SHARING),
             "here, where no effect is looked for",
             lambda study: study.population or study.chart or study.no_effects,
         ),

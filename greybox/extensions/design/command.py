@@ -8,22 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base import DataError, ExitCode, GreyboxError
 from greybox.base.texts import to_word
-from greybox.shell import inputs
-from greybox.shell.study import (
-    IN_RECORD,
-    IN_RESULT,
-    LAYOUT,
-    READING_LIKE,
-    SHARING,
-    SHOWING,
-    SPLITTING,
-    Answer,
-    Command,
-    Idle,
-    Option,
-    Study,
-    model_of,
-)
+from greybox.shell import inputs, options
+from greybox.shell.study import Answer, Command, Idle, Option, Study
 from greybox.shell.study_values import Choice, Count, Names, Numbers, Quantity, Word
 from greybox.shell.terminal import exit_with_error, print_findings, print_note, write_report
 
@@ -103,7 +89,7 @@ def design(study: DesignStudy) -> Answer:
         next=study.then(
             "simulate",
             *(planned, folder / "input.csv", *_set(result), "--output", "planned.csv"),
-            holds=(*IN_RESULT, *IN_RECORD),
+            holds=(*options.IN_RESULT, *options.IN_RECORD),
         ),
     )
 
@@ -167,10 +153,10 @@ def _options(study: Study) -> FitOptions:
     return FitOptions(at_rest=study.at_rest)
 
 
-def _fit(model: Model, records: Sequence[Experiment], noise: dict[str, float], options: FitOptions) -> Fit:
+def _fit(model: Model, records: Sequence[Experiment], noise: dict[str, float], fitting: FitOptions) -> Fit:
     from greybox.estimation.fit import fit
 
-    result = fit(model, records, noise=noise, options=options)
+    result = fit(model, records, noise=noise, options=fitting)
     if not result.success:
         raise GreyboxError(f"{model.title}: the fit to the records did not end at an optimum; try other --start values")
     return result
@@ -204,9 +190,9 @@ def _from_discovery(path: Path, data: Sequence[Path], study: Study) -> tuple[Fit
     plain = plain.start(**{n: e["value"] for n, e in parameters.items()})
     plain = plain.fix(*(n for n, e in parameters.items() if e.get("fixed")))
     like = {"hold": content.get("hold", "auto"), "conditions": dict.fromkeys(content.get("conditions", ()))}
-    options = FitOptions.from_data(content.get("options", {}))
-    records = read_data(data, plain, study, loss=options.loss, **like)
-    base = _fit(plain, records, {n: s for n, s in content["noise"].items() if s}, options)
+    fitting = FitOptions.from_data(content.get("options", {}))
+    records = read_data(data, plain, study, loss=fitting.loss, **like)
+    base = _fit(plain, records, {n: s for n, s in content["noise"].items() if s}, fitting)
     best = "+".join(e["name"] for e in content["effects"])
     alternatives = ["+".join(a) or "none" for a in content["alternatives"]]
     print_note(
@@ -308,7 +294,7 @@ DESIGN = Command(
         Study.estimation.but(help="Records taken so far: needed with discovery.json, fitted with a model."),
         *(*RIG, MODEL_VALUES, OWN.goal, OWN.criterion, OWN.counted, OWN.rivals, OWN.sensors),
         Study.noise.but(kind=Numbers("OUTPUT=STD", "x=2e-7"), help=f"{SENSOR_NOISE} [default: that of the fit]"),
-        *(*READING_LIKE, *SPLITTING),
+        *(*options.READING_LIKE, *options.SPLITTING),
         Study.sampling_time.but(help="Seconds between rows. [default: as measured]"),
         Study.duration.but(help="Duration of the record. [default: as measured]"),
         Study.effects.but(
@@ -316,9 +302,9 @@ DESIGN = Command(
         ),
         OWN.hold,
         Study.at_rest.but(help="Records begin at the initial state of the model. [default: as fitted]"),
-        model_of("SOURCE"),
+        options.model_of("SOURCE"),
         Study.output.but(help="Folder for the results. [default: results/MODEL-design]"),
-        *SHOWING,
+        *options.SHOWING,
     ),
     (
         "greybox design results/rig-fit/fit.json --limit u=-3:3 --limit x=-1e-4:1e-4 --duration 1",
@@ -326,7 +312,7 @@ DESIGN = Command(
         "greybox design my/rig.py --noise x=2e-7 --limit u=-1:1 --rate u=100 --duration 0.5 --sampling-time 2.5e-4",
     ),
     (
-        LAYOUT,
+        options.LAYOUT,
         Idle(
             (OWN.criterion, OWN.counted),
             "with --goal {s.goal}: it is for precision",
@@ -353,20 +339,20 @@ CAMPAIGN = Command(
         Study.noise.but(
             kind=Numbers("OUTPUT=STD", "x=2e-7"), help=f"{SENSOR_NOISE} Needed for each sensor that is installed."
         ),
-        *READING_LIKE,
+        *options.READING_LIKE,
         Study.sampling_time.but(help="Seconds between rows."),
         Study.duration.but(help="Duration of each record."),
         Study.effects.but(help="Try only this effect of the catalogue; may be repeated. [default: all]"),
         OWN.hold,
         Study.at_rest.but(help="Records begin at the initial state of the model."),
         Study.output.but(help="Folder of the campaign. [default: results/MODEL-campaign]"),
-        *(*SHARING, *SHOWING),
+        *(*options.SHARING, *options.SHOWING),
     ),
     (
         "greybox campaign my/rig.py --noise x=2e-7 --limit u=-1:1 --duration 0.5 --sampling-time 2.5e-4 --output rig",
         "greybox campaign my/rig.py ... --rig 'python play.py {input} {record}'",
     ),
-    (LAYOUT,),
+    (options.LAYOUT,),
     study=DesignStudy,
 )
 

@@ -10,8 +10,9 @@ from greybox.base import GreyboxError, Severity
 from greybox.base.extensions import ExtensionKind, extension_names, load_extension
 from greybox.base.texts import to_word
 from greybox.extensions.export.target import ExportTarget
+from greybox.shell import options
 from greybox.shell.inputs import check_writable, load_fit_with_model
-from greybox.shell.study import SHOWING, Answer, Command, Idle, Needs, Option, Study, model_of
+from greybox.shell.study import Answer, Command, Idle, Needs, Option, Study
 from greybox.shell.study_values import Choice, Count, MaybeNumber, Number, Numbers, Switch
 from greybox.shell.terminal import print_note, write_report
 
@@ -161,9 +162,9 @@ def _code(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> tup
     return answer, Export(fit, kind.description, files)
 
 
-def _write(kind: ExportTarget, source: Any, target: Path, **options: Any) -> tuple[Path, ...]:
+def _write(kind: ExportTarget, source: Any, target: Path, **given: Any) -> tuple[Path, ...]:
     target.parent.mkdir(parents=True, exist_ok=True)  # whoever writes a target need not think of it
-    files = kind.write(source, target, **options)
+    files = kind.write(source, target, **given)
     return (files,) if isinstance(files, Path) else files
 
 
@@ -184,9 +185,9 @@ EXPORT = Command(
     (
         *(Study.source.but(usage="FIT.json"), OWN.to, OWN.dt, *LINEAR, Study.substeps),
         *(OWN.observer, OWN.observer_noise),
-        model_of("the fit"),
+        options.model_of("the fit"),
         Study.output.but(usage="--output FILE", help="File to write. [default: results/MODEL-export/MODEL.*]"),
-        *SHOWING,
+        *options.SHOWING,
     ),
     (
         "greybox export results/micro_actuator-fit/fit.json --to mat --dt 2.5e-4 --delay 1e-4 --samples 100",

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from greybox.base import ExitCode, GreyboxError
+from greybox.shell import options
 from greybox.shell.inputs import find_plain_model, layout_of, result_folder, set_parameters
 from greybox.shell.progress import show_progress
-from greybox.shell.study import LAYOUT, READING_LIKE, SHARING, SHOWING, Answer, Command, NextCommand, Option, Study
+from greybox.shell.study import Answer, Command, NextCommand, Option, Study
 from greybox.shell.study_values import Word
 from greybox.shell.terminal import write_report
 
@@ -75,9 +76,8 @@ def fleet(study: FleetStudy) -> Answer:
         journal.unlink(missing_ok=True)
     return Answer(
         result,
-        lambda _: saved[0].read_text(encoding="utf-8"),
-        saved,
-        lambda: write_report(result, folder / "report.html"),
+        files=saved,
+        page=lambda: write_report(result, folder / "report.html"),
         kept=f"the results are in {saved[0]}",
         next=_next(study, result, references),
         failure=f"interrupted; {done}" if result.left else "",
@@ -101,14 +101,14 @@ FLEET = Command(
     fleet,
     "Fit a model to each of many records.",
     (
-        *(Study.model, Study.fixed, Study.noise, FleetStudy.record, *SHARING, *SHOWING),
+        *(Study.model, Study.fixed, Study.noise, FleetStudy.record, *options.SHARING, *options.SHOWING),
         Study.estimation.but(
             usage="RECORDS", help="Records, folders of records, or Parquet files of many records.", required=True
         ),
         Study.start.but(help="Value of a parameter of MODEL."),
         Study.hold,
         Study.at_rest.but(help="Every record begins in the state that the model declares."),
-        *READING_LIKE,
+        *options.READING_LIKE,
         Study.sampling_time.but(help="Seconds between rows, for records without a time."),
         Study.output.but(help="Folder for the results. [default: results/MODEL-fleet]"),
     ),
@@ -116,7 +116,7 @@ FLEET = Command(
         "greybox fleet micro_actuator bench/ --fix M=0.01 --fix Ra=8 --noise x=2e-7",
         "greybox fleet my/rig.py bench.parquet --record serial_number --output results/bench",
     ),
-    (LAYOUT,),
+    (options.LAYOUT,),
     study=FleetStudy,
 )
 

@@ -15,7 +15,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from greybox.base import FileKind, Finding, GreyboxError, Printable, Severity, read_json, write_file, write_json
+from greybox.base import FileKind, Finding, GreyboxError, Printable, Severity, read_json, write_file
+from greybox.base.json_file import StoredResult
 from greybox.base.texts import to_cell
 from greybox.estimation import Estimate, Fit, Misfit
 from greybox.model import Model
@@ -172,7 +173,7 @@ class ConstantDistribution:
 
 
 @dataclass(frozen=True, eq=False)
-class FleetResult(Printable):
+class FleetResult(Printable, StoredResult):
     """One model fitted to each record of a fleet.
 
     Parameters
@@ -368,21 +369,6 @@ class FleetResult(Printable):
         rows = zip(*columns.values(), strict=True)
         writer.writerows([to_cell(v) if isinstance(v, str) else v for v in row] for row in (columns, *rows))
         return write_file(path, text.getvalue())
-
-    def save(self, path: str | Path) -> Path:
-        """Write ``fleet.json``: the population of the constants, what is said of how many records, and those without a result.
-
-        Parameters
-        ----------
-        path
-            Where to; folders are made.
-
-        Returns
-        -------
-        Path
-            The file that was written.
-        """
-        return write_json(path, self)
 
 
 def _label(name: str, unit: str) -> str:

@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-from greybox.shell import inputs
-from greybox.shell.study import LAYOUT, SHOWING, Answer, Command, Option, Study
+from greybox.shell import inputs, options
+from greybox.shell.study import Answer, Command, Option, Study
 from greybox.shell.study_values import Numbers, Quantity, Switch
 from greybox.shell.terminal import write_report
 
@@ -111,13 +111,13 @@ ROBOT = Command(
         *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit),
         *(Study.first_time, Study.last_time, Study.split_holes),
         Study.output.but(help="Folder for the results. [default: results/ROBOT-robot]"),
-        *SHOWING,
+        *options.SHOWING,
     ),
     (
         "greybox robot arm.urdf log.csv",
         "greybox robot arm.urdf monday.csv tuesday.csv --column 'q1 [deg]=joint_1_position' --output results/arm",
     ),
-    (LAYOUT,),
+    (options.LAYOUT,),
     study=RobotStudy,
 )
 
