@@ -132,7 +132,6 @@ def compare(
     steps: Sequence[int] = (),
     options: FitOptions | None = None,
     units: Mapping[str, str] | None = None,
-    policy: result.ComparisonPolicy = result.DEFAULT_COMPARISON,
 ) -> result.Comparison:
     """Compare models by their free run and their prediction one sample ahead.
 
@@ -157,8 +156,6 @@ def compare(
         is at rest where any fit is.
     units
         Output -> unit; those of the physical models are known.
-    policy
-        When two models are equally good, and which rows count.
 
     Returns
     -------
@@ -193,7 +190,6 @@ def compare(
         steps=steps,
         options=options,
         units=units,
-        policy=policy,
     )
 
 
@@ -212,7 +208,6 @@ def compare_named(
     options: FitOptions | None = None,
     units: Mapping[str, str] | None = None,
     findings: tuple[Finding, ...] = (),
-    policy: result.ComparisonPolicy = result.DEFAULT_COMPARISON,
 ) -> result.Comparison:
     """`compare` for models that have their names; ``findings``: what could not be compared."""
     if not models:
@@ -249,7 +244,6 @@ def compare_named(
         options,
         at_rest,
         known_units,
-        policy,
     )
     entries = tuple(
         _black_box_entry(named, setup)
@@ -265,7 +259,6 @@ def compare_named(
         tuple(e.name for e in validation),
         skip,
         findings=findings,
-        policy=policy,
         options=options,
     )
     return replace(comparison, verdict=judge_comparison(comparison))
@@ -283,7 +276,6 @@ class _Setup:
     options: FitOptions | None
     at_rest: bool
     units: Mapping[str, str]
-    policy: result.ComparisonPolicy
 
 
 # Rows of all records up to which the best prediction filter is searched for; the search takes longer with more.

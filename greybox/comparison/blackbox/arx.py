@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, get_args
 
@@ -79,7 +79,6 @@ def arx(
     focus: FitFocus = "prediction",
     passes: int = 1,
     offset: bool = False,
-    units: Mapping[str, str] | None = None,
 ) -> PolynomialModel:
     """Fit ``A(q) y(k) = sum_i B_i(q) u_i(k) + e(k)`` by linear least squares.
 
@@ -109,8 +108,6 @@ def arx(
         Number of these passes.
     offset
         Whether the equation has a constant, for signals that do not rest at zero.
-    units
-        Name of a signal -> unit.
 
     Returns
     -------
@@ -151,7 +148,7 @@ def arx(
         data, orders, history=history, offset=offset, passes=passes if focus == "simulation" else 0
     ).from_zero()
     findings = (*find_weak_excitation(data, sum(orders.nb) + orders.na, orders.nb), *model.findings)
-    return replace(model, units=dict(units or {}), findings=findings)
+    return replace(model, findings=findings)
 
 
 def fit_arx(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Literal, NoReturn, get_args
@@ -206,8 +206,6 @@ def hammerstein(
     inputs: Sequence[str] | str | None = None,
     history: prediction_error.HistoryTreatment = "estimated",
     offset: bool = False,
-    units: Mapping[str, str] | None = None,
-    policy: prediction_error.PredictionErrorPolicy = prediction_error.DEFAULT_SEARCH,
 ) -> HammersteinModel:
     """Fit ``y = sum_i B_i(q) / F_i(q) v_i + e`` with static nonlinearities ``v_i = g_i(u_i)``.
 
@@ -235,10 +233,6 @@ def hammerstein(
         ``"estimated"``: what lies before each record is estimated with it. ``"zero"``: everything was zero there.
     offset
         Whether the equation has a constant, for signals that do not rest at zero.
-    units
-        Name of a signal -> unit.
-    policy
-        How hard to search.
 
     Returns
     -------
@@ -268,7 +262,7 @@ def hammerstein(
     structure = make_structure(kind, data, nb=nb, nk=nk, na=na, nf=nf, offset=offset, refused_as="hammerstein")
     # Zeros before the record are a statement about the signals as they are.
     data = data.scaled("mean" if offset and history != "zero" else "zero")
-    model = fit_hammerstein(structure, data, shape, basis_size, history, units, policy)
+    model = fit_hammerstein(structure, data, shape, basis_size, history)
     return replace(model, linear=model.linear.from_zero())
 
 
@@ -278,7 +272,6 @@ def fit_hammerstein(
     shape: NonlinearityShape,
     basis_size: int,
     history: prediction_error.HistoryTreatment,
-    units: Mapping[str, str] | None = None,
     policy: prediction_error.PredictionErrorPolicy = prediction_error.DEFAULT_SEARCH,
 ) -> HammersteinModel:
     """The model of this structure with nonlinearities of ``basis_size`` functions in front, for scaled data."""
@@ -306,7 +299,7 @@ def fit_hammerstein(
     problem, best = min(minima, key=lambda pair: pair[1].errors.squares)
     if not best.converged:
         best = prediction_error.minimise_prediction_errors(problem, best.theta, policy=policy)
-    return _finish(problem, best, count, label, history, units or {})
+    return _finish(problem, best, count, label, history)
 
 
 @dataclass(frozen=True, eq=False)
@@ -404,7 +397,6 @@ def _finish(
     count: int,
     label: str,
     history: str,
-    units: Mapping[str, str],
 ) -> HammersteinModel:
     structure, data = problem.structure, problem.data
     model = structure.model(best.theta[: structure.size], data)
@@ -426,7 +418,7 @@ def _finish(
         curves.append(curve.with_weights(weights * scale))
         b.append(model.b[i] / scale)
     freedom = count - problem.size - best.errors.states
-    linear = prediction_error.finish_model(replace(model, b=tuple(b)), best, count, max(freedom, 1), history, units)
+    linear = prediction_error.finish_model(replace(model, b=tuple(b)), best, count, max(freedom, 1), history)
     scaling = data.scaling
     _, *origins = scaling.origins
     # Each curve is zero at the origin of its input.

@@ -12,7 +12,7 @@ filtered signals (Ljung, System identification, 2nd ed., section 10.3)::
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
@@ -170,7 +170,6 @@ def fit_prediction_error(
     data: SampledData,
     estimate_starts: Starts,
     history: HistoryTreatment,
-    units: Mapping[str, str] | None = None,
     policy: PredictionErrorPolicy = DEFAULT_SEARCH,
 ) -> PolynomialModel:
     """The best minimum from the best of the starts that ``estimate_starts`` makes, for scaled data.
@@ -190,7 +189,7 @@ def fit_prediction_error(
     refuse_collinear(best.errors, list(model.coefficients), label)
     freedom = count - structure.size - best.errors.states
     covariance = estimate_coefficient_covariance(best.errors, freedom)
-    finished = replace(finish_model(model, best, count, freedom, history, units or {}), covariance=covariance)
+    finished = replace(finish_model(model, best, count, freedom, history), covariance=covariance)
     return finished.in_units(data.scaling)
 
 
@@ -558,12 +557,7 @@ def refuse_collinear(errors: PredictionErrors, names: Sequence[str], label: str)
 
 
 def finish_model(
-    model: PolynomialModel,
-    best: PredictionErrorMinimum,
-    count: int,
-    freedom: int,
-    history: str,
-    units: Mapping[str, str],
+    model: PolynomialModel, best: PredictionErrorMinimum, count: int, freedom: int, history: str
 ) -> PolynomialModel:
     """The model with its noise, of ``count`` errors with so much ``freedom``, and with what is to be known of its search."""
     # A, C and D of order zero are 1, one coefficient each: then the errors are those of a simulation.
@@ -574,7 +568,6 @@ def finish_model(
         samples=count,
         loss=best.errors.squares / count,
         history=history,
-        units=dict(units),
         focus="prediction" if has_noise_model else "simulation",
         findings=(*find_unfinished_search(best.converged, best.iterations), *find_instability(model)),
     )

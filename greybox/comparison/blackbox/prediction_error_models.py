@@ -27,8 +27,6 @@ def armax(
     inputs: Sequence[str] | str | None = None,
     history: prediction_error.HistoryTreatment = "estimated",
     offset: bool = False,
-    units: Mapping[str, str] | None = None,
-    policy: prediction_error.PredictionErrorPolicy = prediction_error.DEFAULT_SEARCH,
 ) -> PolynomialModel:
     """Fit ``A(q) y(k) = sum_i B_i(q) u_i(k) + C(q) e(k)`` by minimising the mean square of the one-step error ``e``.
 
@@ -55,10 +53,6 @@ def armax(
         ``"zero"``: everything was zero there.
     offset
         Whether the equation has a constant, for signals that do not rest at zero.
-    units
-        Name of a signal -> unit.
-    policy
-        How hard to search.
 
     Returns
     -------
@@ -74,7 +68,7 @@ def armax(
     --------
     >>> model = gb.blackbox.armax(record, na=2, nb=2, nc=1)  # doctest: +SKIP
     """
-    return _fit("armax", experiments, output, inputs, history, units, policy, na=na, nb=nb, nc=nc, nk=nk, offset=offset)
+    return _fit("armax", experiments, output, inputs, history, na=na, nb=nb, nc=nc, nk=nk, offset=offset)
 
 
 def output_error(
@@ -87,8 +81,6 @@ def output_error(
     inputs: Sequence[str] | str | None = None,
     history: prediction_error.HistoryTreatment = "estimated",
     offset: bool = False,
-    units: Mapping[str, str] | None = None,
-    policy: prediction_error.PredictionErrorPolicy = prediction_error.DEFAULT_SEARCH,
 ) -> PolynomialModel:
     """Fit ``y(k) = sum_i B_i(q) / F_i(q) u_i(k) + e(k)`` by minimising the mean square of the free-run error ``e``.
 
@@ -113,10 +105,6 @@ def output_error(
         ``"zero"``: everything was zero there.
     offset
         Whether the equation has a constant, for signals that do not rest at zero.
-    units
-        Name of a signal -> unit.
-    policy
-        How hard to search.
 
     Returns
     -------
@@ -132,7 +120,7 @@ def output_error(
     --------
     >>> model = gb.blackbox.output_error(record, nb=2, nf=2)  # doctest: +SKIP
     """
-    return _fit("output error", experiments, output, inputs, history, units, policy, nb=nb, nf=nf, nk=nk, offset=offset)
+    return _fit("output error", experiments, output, inputs, history, nb=nb, nf=nf, nk=nk, offset=offset)
 
 
 def box_jenkins(
@@ -147,8 +135,6 @@ def box_jenkins(
     inputs: Sequence[str] | str | None = None,
     history: prediction_error.HistoryTreatment = "estimated",
     offset: bool = False,
-    units: Mapping[str, str] | None = None,
-    policy: prediction_error.PredictionErrorPolicy = prediction_error.DEFAULT_SEARCH,
 ) -> PolynomialModel:
     """Fit ``y(k) = sum_i B_i(q) / F_i(q) u_i(k) + C(q) / D(q) e(k)`` by minimising the mean square of the one-step error ``e``.
 
@@ -176,10 +162,6 @@ def box_jenkins(
         ``"zero"``: everything was zero there.
     offset
         Whether the equation has a constant, for signals that do not rest at zero.
-    units
-        Name of a signal -> unit.
-    policy
-        How hard to search.
 
     Returns
     -------
@@ -195,21 +177,7 @@ def box_jenkins(
     --------
     >>> model = gb.blackbox.box_jenkins(record, nb=2, nf=2, nc=1, nd=1)  # doctest: +SKIP
     """
-    return _fit(
-        "box-jenkins",
-        experiments,
-        output,
-        inputs,
-        history,
-        units,
-        policy,
-        nb=nb,
-        nf=nf,
-        nc=nc,
-        nd=nd,
-        nk=nk,
-        offset=offset,
-    )
+    return _fit("box-jenkins", experiments, output, inputs, history, nb=nb, nf=nf, nc=nc, nd=nd, nk=nk, offset=offset)
 
 
 # Where the search of each kind starts.
@@ -226,8 +194,6 @@ def _fit(
     output: str | None,
     inputs: Sequence[str] | str | None,
     history: prediction_error.HistoryTreatment,
-    units: Mapping[str, str] | None,
-    policy: prediction_error.PredictionErrorPolicy,
     **orders: Any,
 ) -> PolynomialModel:
     prediction_error.check_history(history)
@@ -235,7 +201,7 @@ def _fit(
     structure = make_structure(kind, data, **orders)
     # Zeros before the record are a statement about the signals as they are.
     data = data.scaled("mean" if structure.offset and history != "zero" else "zero")
-    model = prediction_error.fit_prediction_error(structure, data, STARTS[kind], history, units, policy).from_zero()
+    model = prediction_error.fit_prediction_error(structure, data, STARTS[kind], history).from_zero()
     # An input has to be exciting for its own coefficients, numerator and poles.
     needed = [nb + nf for nb, nf in zip(structure.orders.nb, structure.nf, strict=True)]
     weak = find_weak_excitation(data, structure.orders.na + sum(needed), needed)
