@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from greybox.model.effects import EffectListing
 
 
+FAST_KERNEL = "for the fast kernel, install a C compiler (gcc, clang) or set the environment variable CC"
+
+
 def describe_check(check: ModelCheck, *, command: str = "") -> doc.Document:
     """What is said of a check; ``command`` is what was typed."""
     names = join_names([q.name for q in check.model.free_parameters]) or "the parameters"
@@ -46,7 +49,7 @@ def describe_check(check: ModelCheck, *, command: str = "") -> doc.Document:
         notes += [f"remedy: {sentence(remedy)}" for remedy in structure.recommendations]
     notes += [*check.other_answers, *tables.worst_first(check.practical.findings)]
     if check.model.has_equations and not check.compiled:
-        notes.append("for the fast kernel, install a C compiler (gcc, clang) or set the environment variable CC")
+        notes.append(FAST_KERNEL)
     return doc.Document(
         f"Check of {check.model.title}",
         _answer(check),
@@ -99,8 +102,7 @@ def _computation(check: ModelCheck) -> list[tuple[str, str]]:
         ),
         ("runs as", f"{check.kernel} ({check.kernel_reason})"),
     ]
-    remedy = "for the fast kernel, install a C compiler (gcc, clang) or set the environment variable CC"
-    return facts if check.compiled else [*facts, ("", remedy)]
+    return facts if check.compiled else [*facts, ("", FAST_KERNEL)]
 
 
 def _roles(check: ModelCheck) -> Iterator[doc.Block]:

@@ -19,7 +19,8 @@ from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from greybox.base import figure as fig
-from greybox.base import to_line, write_file
+from greybox.base import write_file
+from greybox.base.texts import to_lines
 from greybox.show.figures.figure import PALETTE, Cell, Sheet, thin_curve, typeset_exponents, write_cell
 
 MARKERS = {fig.Symbol.CIRCLE: "o", fig.Symbol.DIAMOND: "D", fig.Symbol.SQUARE: "s", fig.Symbol.CROSS: "x"}
@@ -65,13 +66,8 @@ def draw_sheet(sheet: Sheet) -> Picture:
     with rc_context({"text.parse_math": False}):
         picture = _draw_cells(sheet)
     for text in picture.findobj(Text):
-        text.set_text(_as_lines(text.get_text()))
+        text.set_text(to_lines(text.get_text()))  # fonts have no control characters
     return picture
-
-
-def _as_lines(text: str) -> str:
-    """What fonts can show: without control characters and halves of characters (a file name that is not UTF-8)."""
-    return "\n".join(map(to_line, text.split("\n")))
 
 
 def _draw_cells(sheet: Sheet) -> Picture:
@@ -143,7 +139,7 @@ def _set_up(axis: NumberedAxis, set_limits: Callable[..., object], spec: fig.Axi
     if limits is not None:
         set_limits(*limits)
     if categories:
-        axis.set_ticks(range(len(categories)), list(map(_as_lines, categories)))
+        axis.set_ticks(range(len(categories)), list(map(to_lines, categories)))
     if spec.scale is fig.Scale.LOG:
         _number_decades(axis)
     if spec.reversed:

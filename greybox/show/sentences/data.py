@@ -12,6 +12,7 @@ from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
 from greybox.base.texts import to_word
 from greybox.data.findings import RecordCode
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
+from greybox.data.problems import enumerate_first
 from greybox.show.sentences import register, renders, sentences
 from greybox.show.sentences.wording import COURSES, count_noun, fill_in, join_names
 
@@ -29,11 +30,6 @@ HOLDS = {
 _LEAVE_EMPTY = "leave these fields empty"
 
 
-def _enumerate(names: list[str], total: int) -> str:
-    """``a, b and 40 more`` of ``total`` things."""
-    return ", ".join(names) + (f" and {total - len(names)} more" if total > len(names) else "")
-
-
 def _about_records(template: str | Callable[[Finding], str]) -> Callable[[Finding], str]:
     """The sentence of a finding, after the names of the records that it holds for (`collect_record_findings`)."""
 
@@ -48,7 +44,7 @@ def _about_records(template: str | Callable[[Finding], str]) -> Callable[[Findin
 
 def _spikes(finding: Finding) -> str:
     count, times = finding.values["count"], finding.values["times"]
-    places = _enumerate([f"{t:.6g} s" for t in times], count)
+    places = enumerate_first([f"{t:.6g} s" for t in times], count)
     return (
         f"{finding.values.get('kind', 'output')} {finding.subject!r} jumps away and back within one row, {count}"
         f" time{'s' * (count != 1)} (at {places}): if this is"
@@ -69,7 +65,7 @@ def _time_gap(finding: Finding) -> str:
 def _pieces_left_out(finding: Finding) -> str:
     pieces = finding.values["pieces"]
     named = [f"{start:.6g} to {stop:.6g} s ({rows} rows)" for start, stop, rows in pieces[:5]]
-    return f"excluded, too few rows between two gaps in time: {_enumerate(named, len(pieces))}"
+    return f"excluded, too few rows between two gaps in time: {enumerate_first(named, len(pieces))}"
 
 
 def _write_rate(step: float) -> str:
@@ -199,7 +195,7 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
         )
     ),
     RecordCode.COLUMNS_IGNORED: lambda f: (
-        f"columns ignored: {_enumerate([repr(c) for c in f.values['columns'][:8]], len(f.values['columns']))}"
+        f"columns ignored: {enumerate_first([repr(c) for c in f.values['columns'][:8]], len(f.values['columns']))}"
     ),
     RecordCode.CONDITION_READ: lambda f: (
         f"condition {f.subject}: {f.values['value']:.6g} {f.values['unit']}, {_SOURCES[f.values['source']]}"
