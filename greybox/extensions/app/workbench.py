@@ -34,12 +34,14 @@ from greybox.model.effects.catalogue import all_effects, find_placements
 from greybox.model.parts import PARTS
 from greybox.model.system import Statement
 from greybox.shell.project import remember_program
-from greybox.show import report
+from greybox.show import describe, report
 from greybox.show.documents.tables import MISFIT_HEADS, estimate_cells, misfit_cells
 from greybox.show.figures.discovery import plot_misfit_windows
+from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.plotly_backend import height_on_page
 from greybox.show.figures.records import plot_inputs, plot_residual, plot_run
-from greybox.show.printers.html import figure_content, say
+from greybox.show.printers.html import cell, figure_content, say
+from greybox.show.printers.text import print_text
 from greybox.simulation.kernel.c_compiler import find_cache_folder
 
 if TYPE_CHECKING:
@@ -62,7 +64,7 @@ def show_session(session: Session, places: Sequence[EffectPlace] = ()) -> dict[s
         constants.append(
             {
                 "name": q.name,
-                "unit": format_unit(q.unit),
+                "unit": typeset_unit(q.unit),
                 "description": q.description,
                 "value": q.value,
                 "fixed": q.fixed,
@@ -95,15 +97,20 @@ def show_session(session: Session, places: Sequence[EffectPlace] = ()) -> dict[s
             }
             for r in session.records
         ],
-        "fit": None if session.fit is None else {"text": str(session.fit), "current": session.is_fitted},
+        "fit": None if session.fit is None else {"text": print_answer(session.fit), "current": session.is_fitted},
         "discovery": None
         if session.discovery is None
         else {
             "verdict": str(session.discovery.verdict),
-            "text": str(session.discovery),
+            "text": print_answer(session.discovery),
             "asked": next((f.subject for f in session.discovery.next_steps if f.code == DiscoveryCode.ASK_PART), ""),
         },
     }
+
+
+def print_answer(result: Any) -> str:
+    """The answer, the table and all notes: a browser has room for them, and nothing to type for the rest."""
+    return print_text(replace(describe(result), details=()), details=True)
 
 
 def show_choice(columns: Sequence[str], choices: Sequence[ColumnChoice]) -> dict[str, Any]:
@@ -144,7 +151,7 @@ def show_run(session: Session, index: int, *, inputs: bool = False) -> dict[str,
     }
     # A row an output; empty cells where the run overflows.
     rows = [
-        [output, *(misfit_cells(m) if math.isfinite(m.rmse) else [""] * len(MISFIT_HEADS))]
+        [output, *(map(cell, misfit_cells(m)) if math.isfinite(m.rmse) else [""] * len(MISFIT_HEADS))]
         for output, m in result.misfit.items()
     ]
     return {

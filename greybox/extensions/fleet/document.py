@@ -62,7 +62,7 @@ def _sections(fleet: FleetResult, command: str) -> Iterator[doc.Section]:
         yield doc.Section("without", "Records without a result", [table])
     counts = [f for f in fleet.findings if f.code == FleetCode.FINDING_COUNT]
     if counts:
-        yield doc.Section("findings", "What is counts of how many records", [doc.BulletList(counts)])
+        yield doc.Section("findings", "Notes, and how many records each is about", [doc.BulletList(counts)])
     if fleet.usable:
         yield doc.Section("records", "Record by record", [_table_of_records(fleet)])
     yield provenance_section(command)

@@ -87,7 +87,8 @@ def _base_table(identified: RobotIdentification) -> doc.TableBlock:
             format_with_std(b.value, b.std) + " open" * b.is_open,
             b.unit,
             format_number(b.described, 4),
-            b.formula,
+            # A constant that carries nothing else stands for itself.
+            "" if b.formula == b.name else b.formula,
         ]
         for b in identified.base
     ]

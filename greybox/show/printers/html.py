@@ -101,6 +101,7 @@ def _environment() -> Environment:
         "say": say,
         "label": label,
         "cell": cell,
+        "heading": heading,
     }
     return environment
 
@@ -208,6 +209,15 @@ def cell(text: str, head: str = "") -> str:
         lambda match: raise_powers(match[0]).replace(" ", "\N{NO-BREAK SPACE}"), typeset_number(text)
     )
     return UNBROKEN.sub("\N{NO-BREAK SPACE}", number)
+
+
+# A unit in the head of a column: ``B [N*s/m]``.
+UNIT_OF_COLUMN = re.compile(r"(?<=\[)[^\[\]]+(?=\])")
+
+
+def heading(text: str) -> str:
+    """The head of a column, its unit as print has it."""
+    return UNIT_OF_COLUMN.sub(lambda match: raise_powers(match[0]), text)
 
 
 def page_style() -> Markup:
