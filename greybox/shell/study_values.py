@@ -241,7 +241,7 @@ class CommaNames(Names):
 
 
 @dataclass(frozen=True)
-class Headers(Names):
+class Headers(CommaNames):
     """Headers after one option, separated by commas; blanks and brackets belong to them: ``time [ms],u,-,x [um]``."""
 
     def from_option(self, option: str, raw: Sequence[str]) -> tuple[str, ...]:
@@ -249,9 +249,6 @@ class Headers(Names):
         if not all(headers):
             raise GreyboxError(f"{option} {','.join(raw)}: a name is empty; write '-' for a column that is not wanted")
         return headers
-
-    def typed(self, value: tuple[str, ...]) -> list[str]:
-        return [",".join(value)]
 
     def from_toml(self, place: str, data: Any) -> tuple[str, ...]:
         if isinstance(data, dict):
