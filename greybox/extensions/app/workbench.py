@@ -40,7 +40,7 @@ from greybox.show.figures.discovery import plot_misfit_windows
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.plotly_backend import height_on_page
 from greybox.show.figures.records import plot_inputs, plot_residual, plot_run
-from greybox.show.printers.html import cell, figure_content, say
+from greybox.show.printers.html import figure_content, say
 from greybox.show.printers.text import print_text
 from greybox.simulation.kernel.c_compiler import find_cache_folder
 
@@ -151,7 +151,7 @@ def show_run(session: Session, index: int, *, inputs: bool = False) -> dict[str,
     }
     # A row an output; empty cells where the run overflows.
     rows = [
-        [output, *(map(cell, misfit_cells(m)) if math.isfinite(m.rmse) else [""] * len(MISFIT_HEADS))]
+        [output, *(misfit_cells(m) if math.isfinite(m.rmse) else [""] * len(MISFIT_HEADS))]
         for output, m in result.misfit.items()
     ]
     return {

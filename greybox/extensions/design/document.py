@@ -234,7 +234,7 @@ def _last_values(campaign: Campaign, step: CampaignStep) -> dict[str, str]:
         return {}
     parameters = read_json(path, kind)["parameters"]
     return {
-        name: f"{wording.format_number(entry['value'])} {entry.get('unit') or ''}".rstrip()
+        name: wording.with_unit(wording.format_number(entry["value"]), entry.get("unit") or "")
         for name, entry in parameters.items()
         if entry["value"] is not None
     }

@@ -102,6 +102,8 @@ def _environment() -> Environment:
         "label": label,
         "cell": cell,
         "heading": heading,
+        "unit": raise_powers,
+        "whole": keep_options_whole,
     }
     return environment
 
@@ -174,7 +176,7 @@ def leave_empty_columns_out(table: TableBlock) -> TableBlock:
 def say_answer(page: Document) -> str:
     """The first sentence; where it begins with the name of what the page is about, that stays as it is written."""
     first, text = label(page.answer).partition(" ")[0], say(page.answer)
-    return first + text[len(first) :] if first in label(page.title).split() else text
+    return first + text[len(first) :] if first.strip(",:;") in label(page.title).split() else text
 
 
 def say(texts: Text | Sequence[Text]) -> str:
@@ -209,6 +211,15 @@ def cell(text: str, head: str = "") -> str:
         lambda match: raise_powers(match[0]).replace(" ", "\N{NO-BREAK SPACE}"), typeset_number(text)
     )
     return UNBROKEN.sub("\N{NO-BREAK SPACE}", number)
+
+
+# An option of a command within a text; a line would be broken behind its hyphens.
+OPTION = re.compile(r"(?<!\S)--[\w-]+")
+
+
+def keep_options_whole(text: str) -> Markup:
+    """A text in which no line is broken within an option of a command."""
+    return Markup(OPTION.sub(lambda match: f'<span class="whole">{match[0]}</span>', str(Markup.escape(text))))
 
 
 # A unit in the head of a column: ``B [N*s/m]``.

@@ -17,8 +17,8 @@ PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
 def with_unit(number: str, unit: str) -> str:
-    """A number and its unit; a pure number has none."""
-    return number if unit == "1" else f"{number} {unit}".rstrip()
+    """A number and its unit, whose powers are written ``s^2`` however the model writes them; a pure number has none."""
+    return number if unit == "1" else f"{number} {unit.replace('**', '^')}".rstrip()
 
 
 def value_with_unit(value: float, unit: str, digits: int = 3) -> str:
