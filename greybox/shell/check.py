@@ -118,4 +118,5 @@ CHECK = Command(
         *(options.LAYOUT, options.SUBSTEPS),
     ),
     lenient=True,
+    prints=("greybox.estimation.check:ModelCheck", "greybox.data.survey:FileSurvey", "greybox.data.survey:FileSurveys"),
 )

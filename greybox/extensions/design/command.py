@@ -326,6 +326,7 @@ DESIGN = Command(
         ),
     ),
     study=DesignStudy,
+    prints=("greybox.extensions.design.problem:Design",),
 )
 
 
@@ -354,10 +355,5 @@ CAMPAIGN = Command(
     ),
     (options.LAYOUT,),
     study=DesignStudy,
+    prints=("greybox.extensions.design.campaign:Campaign",),
 )
-
-PRINTS = {
-    "design": ("greybox.extensions.design.problem:Design",),
-    "campaign": ("greybox.extensions.design.campaign:Campaign",),
-}
-"""Command -> types of what it prints with ``--json``."""
