@@ -105,7 +105,8 @@ class Effect:
         and the input at the end of the substep, and its own state as it was before.
     delay
         Seconds by which the input at the site arrives late, from parameters alone. Whatever else acts on the input acts on the delayed
-        one; before the first row of a record the input is zero.
+        one; before the first row of a record the input is what the record is told of it (`Experiment.before`), else its
+        first value.
     on_input, on_output
         ``f(value, x, u, p)``: the input on its way in, the output on its way out.
     on_parameter, on_state

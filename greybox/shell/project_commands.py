@@ -186,7 +186,7 @@ def effects(study: Study) -> Answer:
     listing = EffectListing("", alone or entries)
     if model and not alone:
         plant = add_effects(find_model(model), study.added)
-        listing = EffectListing(plant.title, entries, tuple(find_placements(plant, entries)))
+        listing = EffectListing(plant.title, entries, tuple(find_placements(plant, entries)), tuple(plant.candidates))
     following: NextCommand | str = "greybox effects MODEL" if not model else ""
     if model and not alone:
         following = study.but(effects=study.added).then("discover", model, "RECORD.csv")

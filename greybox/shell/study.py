@@ -147,7 +147,8 @@ class Study:
     effects = Option(kinds.Names(split=True), "--effect NAME", "effects",
         "Add an effect of the catalogue, such as coulomb_friction.", completion.effects)
     candidates = Option(kinds.CommaNames(), "--effects NAME,...", "candidates",
-        "Test only these effects of the catalogue; none: no effect, only equations, as with --laws; may be repeated. [default: all]",
+        "Test only these effects of the catalogue; none: no effect, only equations, as with --laws; may be repeated."
+        " [default: those that the model lists, else all]",
         completion.effects)
     without = Option(kinds.Names(split=True), "--without NAME", "without",
         "Do not try this effect of the catalogue; may be repeated.", completion.effects)

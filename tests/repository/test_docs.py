@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import greybox
+import greybox.model.effects
 from tests.support.documented import ROOT, blocks, commands, missing, run_page, same
 
 DOCS = ROOT / "docs"
@@ -217,3 +218,9 @@ def test_the_site_builds_without_warnings_and_fetches_nothing(tmp_path: Path) ->
     assert "<math" in (tmp_path / "how_it_works.html").read_text(encoding="utf-8")
     index = json.loads((tmp_path / "search" / "search_index.json").read_text(encoding="utf-8"))
     assert {"reference.html", "commands.html"} <= {d["location"].partition("#")[0] for d in index["docs"]}
+
+
+@pytest.mark.parametrize("page", ["README.md", "CHANGELOG.md"])
+def test_pages_say_how_many_effects_there_are(page: str) -> None:
+    said = re.search(r"atalogue\S* holds (\d+) effects", (ROOT / page).read_text(encoding="utf-8"))
+    assert said is not None and int(said[1]) == len(greybox.model.effects.all_effects())

@@ -180,11 +180,14 @@ class EffectListing(Printable):
         The effects.
     placements
         Their places in the model, and why some have none.
+    candidates
+        Names of those that the model lists for a search; empty where it lists none, and all are tried.
     """
 
     model: str
     entries: tuple[Effect, ...]
     placements: tuple[Placement, ...] = ()
+    candidates: tuple[str, ...] = ()
 
 
 def place_effect(entry: Effect, site: str) -> Effect:

@@ -13,6 +13,7 @@ from greybox.data.experiment import collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.estimation.check import ModelCheck
 from greybox.model import equations_text
+from greybox.model.effects.catalogue import AT
 from greybox.model.parts import PARTS
 from greybox.show.documents import tables
 from greybox.show.documents.fit import OPEN_RECORDS
@@ -289,9 +290,9 @@ def describe_effects(listing: EffectListing) -> Document:
     """How many effects there are, by site; each with its parameters and its equation, and why some have no place."""
     taken = [p for p in listing.placements if p.effect is not None]
     if listing.model:
-        answer = (
-            f"{listing.model} takes {count_noun(len(taken), 'effect')} of {len(listing.placements)} that are known."
-        )
+        kinds = {p.name.partition(AT)[0] for p in taken}
+        places = f", at {count_noun(len(taken), 'place')}" if len(taken) > len(kinds) else ""
+        answer = f"{listing.model} takes {count_noun(len(kinds), 'effect')} of {len(listing.entries)} that are known{places}."
         sites = [(p.site, p.name) for p in taken]
     else:
         answer, sites = (
@@ -309,7 +310,11 @@ def describe_effects(listing: EffectListing) -> Document:
         ["acts at", "effects"],
         [[site or "anywhere", ", ".join(names)] for site, names in groups.items()],
     )
-    return Document("Effects", answer, table=[by_site], details=Later(lambda: full))
+    tried = ", ".join(listing.candidates)
+    notes = [f"discover tries what the model lists, and what a record may have wrong: {tried}; --effects names others."]
+    return Document(
+        "Effects", answer, table=[by_site], notes=notes if listing.candidates else (), details=Later(lambda: full)
+    )
 
 
 def _tables(listing: EffectListing) -> Iterator[TableBlock]:

@@ -64,3 +64,18 @@ def test_an_effect_that_finds_one_place_is_not_said_to_need_another():
         )
     )
     assert lines == ["1 find a place", "  at load: coulomb_friction"]
+
+
+def test_an_effect_with_several_places_counts_once():
+    at_load = place_effect(FRICTION, "load")
+    placements = (Placement(at_load.name, "load", at_load), Placement(FRICTION.name, "force", FRICTION))
+    first = str(EffectListing("m", (FRICTION, effect("backlash")), placements)).splitlines()[0]
+    assert first == "m takes 1 effect of 2 that are known, at 2 places."
+
+
+def test_a_listing_says_which_effects_a_search_tries():
+    at_load = place_effect(FRICTION, "load")
+    placements = (Placement(at_load.name, "load", at_load), Placement(FRICTION.name, "force", FRICTION))
+    listing = EffectListing("m", (FRICTION,), placements, ("coulomb_friction",))
+    assert "wrong: coulomb_friction; --effects names others." in " ".join(str(listing).split())
+    assert "discover" not in str(EffectListing("m", (FRICTION,), placements))
