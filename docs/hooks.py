@@ -367,30 +367,26 @@ def keep(markdown: str) -> str:
 
 CATALOGUE_HEAD = """# Catalogue of effects
 
-These effects are tried by `greybox discover` and added to a model by `--effect NAME` or `model + gb.effect("NAME")`. An added effect
-changes nothing while its amplitude is zero. `greybox effects MODEL` lists those that find a place in a model. Where a model has
-several sites (bodies, inputs, outputs), the name alone means the first, and `NAME_at_SITE` another one. If yours is missing, write
-[your own](own_effect.md).
+These effects are tried by `greybox discover` and added to a model by `--effect NAME` or `model + gb.effect("NAME")`. `greybox effects
+MODEL` lists those that find a place in a model. Where a model has several sites (bodies, inputs, outputs), the name alone means the
+first, and `NAME_at_SITE` another one. If yours is missing, write [your own](own_effect.md).
 
-In equations `x` and `v` are displacement and velocity of a body, `u` is the input and `y` the output at the site. Units in braces are
-those of the model: `{force}` is that of its balance. Behind each equation stand the [parts](#parts-of-a-rig-and-what-is-usual)
-that a rig must
-have and how usual the effect is, on rigs in general and with certain parts; below, the experiment that tells it from its rivals,
-and the source.
+In equations `x` and `v` are displacement and velocity of a body, `u` is the input and `y` the output at the site; `{force}` is the unit
+of the model's balance. Behind each equation stand the [parts](#parts-of-a-rig-and-what-is-usual) that a rig must have and how usual the
+effect is; below, the experiment that tells it from its rivals, and the source.
 """
 
 PARTS_HEAD = """
 ## Parts of a rig, and what is usual
 
-Records alone cannot refuse an effect with memory: it follows whatever is left. A model says what the rig has
-in one line, `Model(..., has=("gear", "fluid"), lacks=("spring",))`, a study file as `has` and `lacks`, the command line as
+Say what the rig has: `Model(..., has=("gear", "fluid"), lacks=("spring",))`, in a study file `has` and `lacks`, on the command line
 `--has gear --lacks spring`. Effects whose parts the rig lacks are not tried; what nobody has said is possible. Some follows from the
-model: without an input there is no motor, and a body that nothing drives or holds hangs on no spring. What is said counts before what
-follows. A model that lists its `candidates` has said what may hide; only parts that it is told to lack leave one of them out.
+model: without an input there is no motor. A model that lists its `candidates` has said what may hide; only parts that it is told to
+lack leave one of them out.
 
-The classes below ({classes}) are a judgement on the counts of 109
+The classes ({classes}) are a judgement on the counts of 109
 published, shipped or fitted models of rigs, good to a factor of two: which share of the rigs with the part lacks the effect in its
-plain model, at one place. They [order](how_it_works.md#which-effect-is-missing) what does equally well on the records. An effect
+plain model. They [order](how_it_works.md#which-effect-is-missing) what does equally well on the records. An effect
 of your own counts as common.
 
 """

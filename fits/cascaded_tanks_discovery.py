@@ -95,13 +95,11 @@ def section(s: Study) -> list[str]:
         "Errors of the free run, refitted to the whole training record; the test record took no part in any choice:",
         markdown(["model", "training, V", "test, V"], rows),
         f"Beside what was found, {', '.join(like) or 'none of them'} change the training record by less than"
-        f" {100 * ALIKE:.0f} %: with the reading curve and the end of the sensor they form an ambiguity set, since a threshold of the pump,"
-        " play or an end of the sensor, the law of outflow and the calibration of the gauge imitate one another at this one output."
+        f" {100 * ALIKE:.0f} %: with the reading curve they form an ambiguity set at this one output."
         " Known levels read at standstill would tell the reading from the rest.",
         markdown(["constant", "value", "95 % interval", "unit"], constants),
-        "`k2` only sets the unit of the upper level (any positive number gives the same record), and `full` where the reading curve is"
-        " anchored: a gauge, not knowledge. The edge of the upper tank is in that unit. A rate of overflow at its bound means an edge as"
-        " sharp as the samples can show.",
+        "`k2` only sets the unit of the upper level, and `full` where the reading curve is"
+        " anchored. A rate of overflow at its bound means an edge as sharp as the samples can show.",
     ]
 
 

@@ -145,18 +145,16 @@ def section(s: Study) -> list[str]:
     return [
         "## EMPS: an electro-mechanical drive",
         verdict_text(s.discovery),
-        f"Errors on arcs of {REPETITION / QUARTERS:.2f} s of a repetition that was kept back, mean over the {REPETITIONS} repetitions. The"
-        " initial position and velocity of each arc are estimated from its first part, the error is that of the rest:",
+        f"Errors on arcs of {REPETITION / QUARTERS:.2f} s of a repetition that was kept back, mean over the {REPETITIONS} repetitions; the"
+        " initial state of each arc is estimated from its first part:",
         markdown(head, rows),
         "**The classical offset imitated friction that differs by direction.** Beside it the offset is"
-        f" {abs(s.fits['both'].parameters['F0'].value):.1f} N. At one speed"
-        " the two are the same, and so are an offset and dry friction that differs by direction: they are collinear here.",
+        f" {abs(s.fits['both'].parameters['F0'].value):.1f} N. At one speed the two are the same.",
         f"**How far a free run can be trusted.** 0.1 N of constant load moves the end of the 24 s run by {1e3 * s.pushed:.1f} mm."
         " Constants of the same model from arcs of three lengths, run freely over the whole records:",
         markdown(["arcs, s", "training record, mm", "test record, mm"], free),
         f"On arcs of the test record, another day: {arcs}. There the same model asks for {more['Fv']:+.1f} % of viscous and"
-        f" {more['Fc']:+.1f} % of dry friction. An error over 24 s says how the day and the drift fell, not how good the structure is:"
-        " judge on arcs.",
+        f" {more['Fc']:+.1f} % of dry friction. An error over 24 s says how the day and the drift fell: judge on arcs.",
     ]
 
 

@@ -97,9 +97,8 @@ def section(s: Study) -> list[str]:
         verdict_text(s.discovery),
         "Errors on the test records, which took no part in choosing effects or constants:",
         markdown(head, rows),
-        "What the input does between samples was the first pick of the search. The members of the damping family differ by less than the"
-        " spread between the records: the family is named, not the member. Offset of the input and constant load are exchangeable exactly."
-        " The search stops at four effects: the quadratic spring of this table is a fifth, added by hand.",
+        "The members of the damping family differ by less than the"
+        " spread between the records: these do not tell the member. Dampings and the quadratic spring of this table were added by hand.",
     ]
 
 

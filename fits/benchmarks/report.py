@@ -22,8 +22,7 @@ GOALS = {"casadi_single_shooting": 50, "scipy_numba": 3, "lmfit_numba": 3, "jax_
 
 HEAD = """# Speed and scale
 
-How long fits take beside other programs, how long a first search takes, and how cost grows with states, constants, rows, records and
-workers.
+How long a fit takes beside other programs, how long a first search takes, and how cost grows with states, constants, rows and records.
 """
 
 
@@ -39,10 +38,9 @@ def page(result: dict) -> str:
         "## How long fits take",
         "",
         "Written by `make bench`. The unit is the simulation equivalent: CPU time of the whole fit over that of one compiled RK4",
-        "pass over the same data, measured in the same process just before and after. Short fits are repeated for 0.3 s. Imports,",
-        "compilation and building are not counted (jax-sysid compiles in every fit; diffrax + optimistix once a problem, see below).",
-        "Start values are about 40 % off. `fits/benchmarks/problems.py` states the problems,"
-        " `fits/benchmarks/peers.py` how the others are used.",
+        "pass over the same data, in the same process. Imports, compilation and building are not counted (jax-sysid compiles in every",
+        "fit). Start values are about 40 % off. `fits/benchmarks/problems.py` states the problems, `fits/benchmarks/peers.py` how the",
+        "others are used.",
         "",
         "| | goal | " + " | ".join(problems) + " |",
         "|---|---|" + "---|" * len(problems),
@@ -70,15 +68,12 @@ def page(result: dict) -> str:
         "",
         "In brackets: rounds, and by how much the cost that a peer reached lies above the best RK4 optimum (relative). A fit with",
         "`least_squares` + `solve_ivp` was not run: multiply one simulation by the 30 to 100 that finite differences need. pydiffsol",
-        "solves each sample by itself, because the input jumps there, and its forward sensitivities are chained. acados has to be",
-        "built from source, and was left out.",
+        "solves each sample by itself, because the input jumps there. acados was left out.",
         "",
         *_compilation(result["compile_seconds"]),
         f"First result after the imports (pneumatic): {first['cold']:.2f} s with an empty cache (goal 3), {first['warm']:.2f} s"
         " after that (goal 0.5).",
         f"Memory of the linear fit of 400,000 samples above imports and data: {result['memory_above_data_mb']:.0f} MB (goal 20).",
-        "",
-        f"All this took {result['minutes']:.0f} minutes.",
         "",
         f"Machine: {_processor()}, {os.cpu_count()} cores, load average {os.getloadavg()[0]:.1f} at the end; {_compiler()};"
         f" Python {platform.python_version()}, " + ", ".join(f"{k} {v}" for k, v in result["versions"].items()) + ".",

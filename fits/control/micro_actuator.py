@@ -43,8 +43,7 @@ SETTING = Setting(
 WORDS = """A coil on a compliant mechanism that rings with 3 % of damping. The hidden friction of 0.05 N holds it anywhere within 8 µm.
 
 Every design gets there in the end; the integral of those that do not know the friction
-needs twice the time, for it has to find the force by itself. The black box is as good as the
-uncompensated grey-box ones: from this record it gets the linear part right. What makes the difference is the compensation."""
+needs twice the time. The black box is as good as the uncompensated grey-box ones: the compensation makes the difference."""
 
 
 def verdict(results: Study) -> None:

@@ -13,21 +13,16 @@ PAGE = "control.md"
 COLOURS = dict(zip(ORDER, MODELS, strict=True))
 TITLE = f"""# What the constants are for: controllers
 
-Does it help a controller to know the friction that `greybox discover` has found? Each rig below has dry friction that its model
-does not have. From two of its records come a fit of the plain model, one with the effect that `discover` names, and the best black
-box of the library's own scan. One rule makes a controller of each from the position alone (`fits/control/design.py`:
-linear-quadratic with an
-integral, and a Kalman observer; the weights are sizes of output and voltage). The compensated one has besides
-a force against the friction, in the direction of the wanted motion, and an observer that sticks where the body sticks.
+A controller that knows the friction which `greybox discover` has named settles twice as fast on the actuator, and stops the hunting of
+the cylinder.
 
-Each controller then runs on the rig itself, friction and all, integrated by equations and a method of its own
-(`fits/studies/rig_twins.py`); and on {FAMILY} rigs drawn from what the records leave open
-(`export.sample_family`). Everything is **generated,
-not measured**. A dash: it never stays within the band, or there is no margin. Margins are those of the linear loop (the compensation
-is outside it) on the linear rig; "distance from -1" is the least of the loop's Nyquist curve, on the rig, over the family, and over
-the confidence set of the constants.
-Written by `python -m fits.control.page`; the `verdict` of each study (`fits/control/micro_actuator.py`,
-`fits/control/pneumatic.py`) asserts what is said here.
+Each rig below has dry friction that its model does not have. From two of its records come a fit of the plain model, one with the named
+effect, and the best black box. One rule makes a controller of each from the position alone (`fits/control/design.py`: linear-quadratic
+with an integral, and a Kalman observer). The compensated one adds a force against the friction, in the direction of the wanted motion,
+and an observer that sticks where the body sticks. Each runs on the rig itself, integrated by a method of its own
+(`fits/studies/rig_twins.py`), and on {FAMILY} rigs drawn from what the records leave open (`export.sample_family`): **generated, not
+measured**. A dash: it never stays within the band, or there is no margin. Margins are those of the linear loop on the linear rig;
+"distance from -1" is the least of the loop's Nyquist curve. Written by `python -m fits.control.page`, which asserts the verdicts.
 """
 
 

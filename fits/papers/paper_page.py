@@ -16,11 +16,9 @@ PAGE = "paper_tables.md"
 FIGURES = "figures"
 TITLE = """# The papers' tables, printed and computed
 
-Neither paper prints its data. Every number beside a printed one is computed by this program on records that are **generated, not
-measured**: the recipes are `fits/papers/micromotion_twin.py` and `fits/papers/pneumatic_twin.py`, with their seeds. Where a table's cell
-reads `27.13 / 26.87`, the first is printed and the second computed here. This page is written by `python -m fits.papers`, its
-parts by `fits.papers.micromotion_page`, `fits.papers.pneumatic_page`, and, for the last one, `fits.papers.pneumatic_supply`,
-`fits.papers.micromotion_chirp` and `fits.papers.micromotion_feed_through`; the papers' own mistakes are in [errata](errata.md).
+Every table of the two papers beside the same computed by greybox: in `27.13 / 26.87` the first is printed and the second computed.
+Neither paper prints its data; the records are **generated, not measured** (`fits/papers/micromotion_twin.py`,
+`fits/papers/pneumatic_twin.py`). Written by `python -m fits.papers`; the papers' own mistakes are in [errata](errata.md).
 """
 DPI = 80
 MEASURED, MODELS = "#9a9a9a", ("#c0392b", "#1f5a8a", "#2e8b57", "#b8860b")

@@ -35,36 +35,31 @@ def write(s: Study, folder: Path) -> None:
     text = [
         "## 2. Pneumatic actuator (chapter 10)",
         f"Nine records of 100 s every 10 ms, generated with seeds from {SEED} on, not measured. Position is the sensor's voltage at an"
-        " assumed 0.05 m/V; how much each record drifts is not printed and was chosen so that the misfits of (2,2) at nk = 0 have the"
-        " printed size; the opening of the valve, so that the variances of position have.",
+        " assumed 0.05 m/V; the drift of each record was chosen so that the misfits of (2,2) at nk = 0 have the"
+        " printed size, the opening of the valve so that the variances of position have.",
         "### Table 10.2, inputs",
         _table_10_2(s),
         "With the amplitudes that belong to this table (errata 2.8); exact to the printed digit.",
         "### Variance of position",
         _variances(s),
-        "The printed tables imply it nine times over for each experiment, `MSE / (1 - BF / 100)^2`, and agree within rounding:"
-        " best fit and MSE belong to one and the same free run.",
+        "The printed variance is `MSE / (1 - BF / 100)^2`, the same for all nine within rounding; so the tables below go without MSE.",
         *(_table(nk, s) for nk in printed.DELAYS),
         "As printed: the second input is fitted best and the first worst, `nk` hardly matters, and with the second and third input"
-        " three poles are worse than two. Not reproduced: how deep (3,3) and (4,4) fall with the third input, to 66-73 % in print and by a"
-        " few points here, for a reason that is not known; the loss of (4,4), see below; single cells, which depend on how a record"
-        " drifts.",
+        " three poles are worse than two. Not reproduced, for a reason that is not known: how deep (3,3) and (4,4) fall with the third"
+        " input, to 66-73 % in print and by a few points here.",
         "### What the loss is",
         _losses_table(s),
-        "The printed loss is that of rows prefiltered once for two and three poles; for four poles it lies between one and two passes,"
-        " and eight coefficients on three tones are ill determined anyway (errata 2.16). It rises with the order because a"
-        " high-order `A` amplifies the sensor's noise, so losses of different orders cannot be compared.",
+        "The printed loss is that of rows prefiltered once for two and three poles; for four poles it lies between one and two passes"
+        " (errata 2.16). It rises with the order because a"
+        " high-order `A` amplifies the sensor's noise: losses of different orders cannot be compared.",
         "### Equation 10.12, experiment 3 of the second input",
         _coefficients(s),
-        "The coefficients depend on the rig, so they are not expected to agree; what agrees is the trend with `nk` and the pole pair,"
-        " an integrator and a pole near 0.99. As printed the first model is unstable and the others useless (errata 2.10 to 2.12): an"
-        " integrator needs six digits of `a1`. Where a record drifts, least squares may put the integrator's pole slightly"
-        " outside the unit circle even without rounding.",
+        "What agrees is the trend with `nk` and the pole pair, an integrator and a pole near 0.99; the coefficients depend on the rig."
+        " As printed the first model is unstable and the others useless (errata 2.10 to 2.12).",
         "### Gain by amplitude",
         _gains(s),
         "Root of the variance of position over that of the integral of the input, in units/s per volt. A linear valve has one gain;"
         " opening with the square of the voltage, or a dead band of 1.6 V, gives these three.",
-        "### Figures",
         *(f"![Figure {n}](figures/{_file(n)}.png)" for n in FIGURES),
     ]
     write_section(folder, "2", "\n\n".join(text))
@@ -91,14 +86,13 @@ def _variances(s: Study) -> str:
 def _table(nk: int, s: Study) -> str:
     head = ["printed / generated"]
     for n in printed.ORDERS:
-        head += [f"({n},{n},{nk}) best fit, %", "loss, 1e-4", "MSE"]
+        head += [f"({n},{n},{nk}) best fit, %", "loss, 1e-4"]
     rows = []
     for name, row in printed.TABLES[nk].items():
         line = [name]
         for n in printed.ORDERS:
             theirs, ours = row[n], s.cells[nk][name][n]
             line += [beside(theirs.best_fit, ours.best_fit, 4), beside(1e4 * theirs.loss, 1e4 * ours.loss, 3)]
-            line.append(beside(theirs.mse, ours.mse, 3))
         rows.append(line)
     return f"### Table {NUMBERS[nk]}, nk = {nk}\n\n{markdown(head, rows)}"
 

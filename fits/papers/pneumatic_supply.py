@@ -144,8 +144,7 @@ def write(study: Study, folder: Path) -> None:
         f"Records of {DURATION:.0f} s under multisines, generated, not measured; each black box chosen by a scan on the record that judges"
         " it at 700 kPa. The supply is a constant of the physical model, and changed there.",
         markdown(head, rows),
-        "Position depends on the supply only weakly here, because a choked exhaust sets the speed; there a black box does not get worse,"
-        " it is bad at both.",
+        "Position depends on the supply only weakly, because a choked exhaust sets the speed: there a black box is bad at both.",
         "![Pressure at 800 kPa with the constants of 700](figures/only_physics_supply.png)",
     ]
     write_section(folder, "3a", "\n\n".join(text))

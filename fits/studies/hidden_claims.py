@@ -160,10 +160,10 @@ def write_claims(rows: Sequence[Row], docs: Path) -> None:
     without = sum(answer["left_out"] for row in rows for answer in row["answers"])
     text = [
         "## How certain is an established claim?",
-        f"Each claim of an answer has a probability. Here it is held against the truth, on these {len(rows)} cases"
+        f"The probability of each claim, held against the truth on {len(rows)} cases"
         f" ({rows[0]['name']} to {rows[-1]['name']}, {sum(len(r['answers']) for r in rows)} answers, {without} of them without the truth,"
-        f" on {len(plants)} plants): the numbers that turn a weight into a probability were fitted to another draw.",
-        f"A claim is established from a probability of {ESTABLISHED_FROM:g} on.",
+        f" on {len(plants)} plants): the map from weight to probability was fitted to another draw."
+        f" A claim is established from a probability of {ESTABLISHED_FROM:g} on.",
         _depth_table(rows),
         "By stated probability, the share that is right and of how many claims:",
         _reliability_table(rows),

@@ -71,27 +71,22 @@ def write(rows: Sequence[Row], docs: Path, length: int) -> None:
     text = [
         "# How often the hidden effect is named",
         f"{len(rows)} cases, drawn at random: {rigs} on the two rigs (`fits/studies/hidden_cases.py`), the others on six everyday plants"
-        " (`fits/studies/plant_cases.py`), simulated by `fits/studies/rig_twins.py` and"
-        " `fits/studies/plant_twins.py`, which share no code with greybox;"
+        " (`fits/studies/plant_cases.py`), simulated by programs that share no code with greybox;"
         f" mostly {length} samples for learning, {length} for judging. `greybox.discover` sees what a user has: records, some known"
         " constants, start values up to 40 % off, and in about half of the cases the noise. Each case is answered a second time with the"
-        " true effects and their families taken away from the candidates. Written by `python -m"
-        " fits.studies.hidden_study FOLDER --page`; FOLDER"
-        " holds each answer.",
-        f"A share of {len(rows)} cases is known to about {100 / max(len(rows), 1) ** 0.5:.0f} percentage points: more cases are a matter of"
-        " processor time, and a folder begun is gone on with. The baselines refit nothing; the sparse regression can only name the seven"
-        " effects that its library holds a function for (`fits/studies/hidden_baselines.py`).",
+        f" truth taken away. A share is known to about {100 / max(len(rows), 1) ** 0.5:.0f} percentage points. The sparse regression can"
+        " only name seven effects (`fits/studies/hidden_baselines.py`). Written by `python -m fits.studies.hidden_study FOLDER --page`.",
         _scores(rows),
         "## With the truth taken away",
-        "The true effect and its family are no candidates. An answer is wrong if it is certain of anything: `named`, or an effect that is"
-        " `established` and not there. Place: the true site is among those that the answer gives, or a stand-in acts there. Shape: the"
+        "The true effect and its family are no candidates. An answer is wrong if it is `named`, or an effect is"
+        " `established` and not there. Place: the true site is among those that the answer gives. Shape: the"
         " variable that the true effect depends on is the one that the answer gives.",
         _left_out_scores(rows),
         "## By plant",
         _by_plant(rows),
-        "## Confusion",
-        "Rows: what was hidden, where the plain model shows it (misfit at least 1.1 times the noise). Columns: what was said.",
-        _confusion(rows),
+        "## Truth against answer",
+        "Rows: what was hidden, where the plain model shows it (misfit at least 1.1 times the noise). Columns: what was said; a question"
+        " mark: with the verdict unknown.",
         "![Truth against answer](figures/discovery_study.svg)",
     ]
     (docs / "discovery_study.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")
@@ -301,15 +296,6 @@ def _pairs(rows: Sequence[Row]) -> Counter[tuple[str, str]]:
         name = " + ".join(answer["said"]) or (NOTHING if answer["verdict"] == "complete" else UNKNOWN)
         counts[truth, f"{name}?" if answer["verdict"] == "unknown" and answer["said"] else name] += 1
     return counts
-
-
-def _confusion(rows: Sequence[Row]) -> str:
-    counted = _pairs(rows)
-    lines = ["| hidden | said (a question mark: with the verdict unknown) |", "|---|---|"]
-    for truth in sorted({t for t, _ in counted}):
-        answers = sorted(((n, s) for (t, s), n in counted.items() if t == truth), reverse=True)
-        lines.append(f"| {truth} | {', '.join(f'{answer} {n}' for n, answer in answers)} |")
-    return "\n".join(lines)
 
 
 def _figure(rows: Sequence[Row]) -> Figure:

@@ -127,18 +127,15 @@ def write(silver: Sequence[Row], tanks: Sequence[Row], folder: Path) -> Path:
     """The part of the page."""
     text = [
         "## Linear black boxes and physics on measured records",
-        "Written by `python -m fits.studies.measured_baselines`. Measured data of two public benchmarks. All models"
-        " are fitted to the training"
-        " records; the errors are those of a free run (rms) over the test records without their first 50 rows. Black boxes are chosen by"
-        " a scan within the training record.",
+        "Written by `python -m fits.studies.measured_baselines`: fitted to the training records, free runs over the test records without"
+        " their first 50 rows. Black boxes are chosen by a scan within the training record.",
         "### Silverbox, mV",
         _table(silver, PUBLISHED_SILVERBOX, 1e3),
-        "Output error finds the linear model of the literature, and so does the linear physical model, with fewer numbers. The"
+        "Output error and the linear physical model reach the linear model of the literature. The"
         " hardening spring is what no linear model has.",
         "### Cascaded tanks, V",
         _table(tanks, PUBLISHED_TANKS, 1.0),
-        "Torricelli's law alone is worse than any black box, because the tanks overflow. Each effect that the rig has and the model"
-        " lacked brings the physical model down; no order of a linear black box does.",
+        "Torricelli's law alone is worse than any black box, because the tanks overflow.",
     ]
     return write_part(folder, "4 linear black boxes", text)
 

@@ -351,22 +351,17 @@ def tell_deepest(line: Mapping[str, Any]) -> str:
 
 HEAD = """# Certainty on measured records
 
-Written by `python -m fits.studies.measured_certainty FOLDER --page docs/studies/measured_certainty.md`: {searches}
-of {planned} searches, on {rigs}
-rigs, nothing told but the plain model.{note} Each learns from one record, chooses by another and is judged on a third
-(two falls of a ball on another ball of its kind). The records are public and not part of this project;
-`fits.studies.measured_rigs` says whose
-they are and what is known of each rig. In a round trip the model that is handed over is written, read back and fitted to the same
-records, and run in C.
+How often what `greybox discover` calls certain is true on measured records of {rigs} public rigs, nothing told but the plain model:
+{searches} of {planned} searches, each with one record to learn from, one to choose by and a third to be judged on.{note} Written by
+`python -m fits.studies.measured_certainty FOLDER --page docs/studies/measured_certainty.md`; `fits.studies.measured_rigs` says whose the
+records are and what is known of each rig. All rigs have been looked at while the method was built: this is no blind test. [What these
+records taught](../measured_lessons.md).
 
-- Known by construction, weighing or publication: balls (of heavy ones only the camera shows), rotor (braked at known times, or healthy),
-  pendulum, heaters, damper. Of the others nobody knows all: what is claimed beside the known facts is counted as *not known*.
+- Known by construction, weighing or publication: balls, rotor (braked at known times, or healthy),
+  pendulum, heaters, damper. Of the others nobody knows all: what is claimed beside the known facts is *not known*.
 - On a heavy ball and on the healthy rotor every claim counts as wrong, though the scale of the video does bend.
 - *Right* is a place where something known acts; a variable on which it depends there; a family with a right name in it; a right name.
-
-The numbers that turn weights into probabilities come from simulated cases alone, but all these rigs
-have been looked at while the method was built: this is no blind test. What these records taught stands [in a chapter of its
-own](../measured_lessons.md).
+- In a round trip the model that is handed over is written, read back, fitted to the same records, and run in C.
 """
 BY_RIG = "What was established at each depth: right/wrong/not known.\n"
 

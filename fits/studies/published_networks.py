@@ -520,16 +520,15 @@ NETWORKS: dict[str, StiffProblem] = {
 
 PART = """## Published networks and stiff models
 
-Written by `python -m fits.studies.published_networks --page docs/studies`. The equations, constants and sampling are those of each
-source (in the scripts `fits/studies/published_networks.py` and `fits/studies/stiff_problems.py`); the data are
-runs of an independent solver (Radau of
-SciPy) at these constants with noise of known size, as the measured tables of the sources are no part of this project. Every fit is
-`gb.fit(model, record, noise=..., options=gb.FitOptions(at_rest=True))`: the usual options.
+Equations, constants and sampling are those of each source (in `fits/studies/published_networks.py` and `fits/studies/stiff_problems.py`);
+the data are runs of an independent solver (Radau of SciPy) at these constants with noise of known size. Every fit is
+`gb.fit(model, record, noise=..., options=gb.FitOptions(at_rest=True))`.
 
 - *Reached*: the sum of squares of the constants, by the independent solver, is not above that of the published ones.
 - *From the published constants*: does the fit hold them? *Three times off*: every constant, up and down in turn.
 - *Random starts*: each constant between a tenth and ten times its value, up to {random} of them until one reaches the optimum.
-- *Seconds*: CPU time of the longest of these fits. *Missed*: how the others ended, and their sum of squares over that of the truth.
+- *Seconds*: CPU time of the longest of these fits. *Missed*: how the others ended, and their sum of squares over that of the published
+  constants.
 
 ### Networks: {networks}
 

@@ -480,7 +480,7 @@ def study(name: str, random: int) -> dict[str, Any]:
 # The page of published problems, whose other part `fits.studies.published_networks` writes.
 PAGE, HEAD = (
     "published_problems.md",
-    "# Published problems\n\nProblems whose answers are published: regressions, reaction mechanisms, networks and stiff models.\n",
+    "# Published problems\n\nHow often a fit reaches the published answer: regressions, reaction mechanisms, networks and stiff models.\n",
 )
 PART = """## Regressions and reaction mechanisms
 
@@ -488,8 +488,8 @@ Written by `python -m fits.studies.published_problems --page docs/studies`. {reg
 Statistical Reference Datasets (NIST/ITL StRD) and {kinetics} reaction mechanisms (alpha-pinene: Box and others, Technometrics 15,
 1973; nitric oxide: Bellman and others, Mathematical Biosciences 1, 1967; gas oil and chain: Tjoa and Biegler, Industrial and
 Engineering Chemistry Research 30, 1991, the first with the optimum of COPS 3; methanol: Maria, Chemical Engineering Science 44,
-1989). Every fit is `gb.fit(model, data, options=gb.FitOptions(at_rest=True, common_noise=True))`: a plain sum of squares of all
-outputs; of MGH10, whose curved valley is long, with `iterations={iterations}` instead of 200.
+1989). Every fit is `gb.fit(model, data, options=gb.FitOptions(at_rest=True, common_noise=True))`, a plain sum of squares of all
+outputs; of MGH10 with `iterations={iterations}`.
 
 - A fit has *reached* the optimum where its sum of squares is within 0.1 % of the published one.
 - *Published starts*: the one or two that the source gives. *Random starts*: each constant between a tenth and ten times its
@@ -504,11 +504,9 @@ From the published starts {published} fits reach the optimum, from random ones {
 |---|---|---|---|---|
 {rows}
 
-A fit that explains nothing of an output, ends at its iteration limit, or ends where constants change nothing that the records
-determine near its start (two exponentials that became one, a rate that left the record) is begun from other starts by itself, and says
-so: about its own, and where those explain nothing either about the scales that the records show, each constant by decades. What misses
-yet: Thurber and Roszman1, quotients with poles, have optima of their own with every constant determined; the first published
-start of MGH17 is ninety times off in two rates, and its fit follows 85 % of the curve, so that no other start is tried.
+A fit that explains nothing of an output, ends at its iteration limit, or where a constant ran away is begun from other starts by itself,
+and says so. Missed: Thurber and Roszman1, quotients with poles, have optima of their own; the first published start of MGH17 is ninety
+times off in two rates, and its fit follows 85 % of the curve, so that no other start is tried.
 """
 
 

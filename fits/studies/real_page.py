@@ -12,16 +12,14 @@ from greybox.discovery.result import Discovery
 PAGE = "real_data.md"
 TITLE = """# What is missing, on measured records
 
-Three public benchmarks (nonlinearbenchmark.org), each begun from the plain model with nothing told. The records are not part of this
-project. Every number was computed by `python -m fits.studies.real_data FOLDER`, with the folders `silverbox`, `emps` and `cascaded_tanks`
-below FOLDER; one part by `python -m fits.silverbox_discovery`, `fits.emps_discovery` or `fits.cascaded_tanks_discovery`. Constants and
-effects come from the training record alone, part of which is kept back to choose by. Three settings of the method were settled
-with test errors in view: how many rows the last silverbox fit uses, which first part of an EMPS arc gives its initial state, and the
-form of the tanks' reading curve.
-All errors are those of free runs, as root mean squares.
-
-No model is complete on any of the three: what is left stays above the sensors' noise ([what measured records taught
+What `greybox discover` says of three public benchmarks (nonlinearbenchmark.org), each begun from the plain model with nothing told, and
+how far each model is off. No model is complete on any of them: what is left stays above the sensors' noise ([what measured records taught
 us](../measured_lessons.md)).
+
+Written by `python -m fits.studies.real_data FOLDER`, with the folders `silverbox`, `emps` and `cascaded_tanks` below FOLDER; the records
+are not part of this project. Constants and effects come from the training record alone, part of which is kept back to choose by. All
+errors are those of free runs, as root mean squares. Three settings were settled with test errors in view: the rows of the last silverbox
+fit, the first part of an EMPS arc that gives its initial state, and the form of the tanks' reading curve.
 """
 
 

@@ -10,6 +10,19 @@ from typing import Any
 
 from greybox.base.texts import to_line
 
+# What callers catch, and exit codes; the functions below serve the messages of this library.
+__all__ = [
+    "DataError",
+    "ExitCode",
+    "FitError",
+    "GreyboxError",
+    "MissingNameError",
+    "ModelError",
+    "OutputError",
+    "UnitError",
+    "WorkersLostError",
+]
+
 
 class GreyboxError(Exception):
     """Base of every error the library raises on purpose. The command line ends with exit code 2."""

@@ -306,6 +306,11 @@ def save_comparison(comparison: Comparison, path: str | Path) -> Path:
     Path
         The file. Numbers that are not finite become null.
 
+    Raises
+    ------
+    OutputError
+        If it cannot be written; an older file is then left as it was.
+
     Examples
     --------
     >>> comparison = gb.compare([fit], record)  # doctest: +SKIP

@@ -23,6 +23,8 @@ from greybox.estimation.result import Fit
 from greybox.estimation.sandwich import Columns, compute_correlations, compute_toeplitz_form
 from greybox.simulation.records import to_record
 
+__all__ = ["ResidualSeries", "ResidualTest", "ResidualTestKind", "ResidualTests", "residual_tests"]
+
 # The statistics behind the residual tests: each returns a statistic and a p-value. Series may hold NaN in gaps.
 
 LAGGED_SIGNALS = RankTolerance(REDUNDANT_VARIANCE, REDUNDANT_VARIANCE)

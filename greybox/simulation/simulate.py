@@ -235,7 +235,29 @@ def _to_simulation(model: Model, experiment: Experiment, y: np.ndarray, x: np.nd
 
 
 def declared_initial_state(model: Model, given: Mapping[str, float] | None = None) -> np.ndarray:
-    """The declared initial state (nx,) of ``model`` at its present values, with the ``given`` states put in."""
+    """The declared initial state of a model at its present values.
+
+    Parameters
+    ----------
+    model
+        The model.
+    given
+        State -> value in its unit, in the place of what is declared.
+
+    Returns
+    -------
+    array (nx,)
+        In the order of the states, in their units.
+
+    Raises
+    ------
+    ModelError
+        For a state that the model does not have.
+
+    Examples
+    --------
+    >>> declared_initial_state(micro_actuator, {"x": 1e-5})  # doctest: +SKIP
+    """
     p = np.array(list(model.values.values()))
     x0 = np.asarray(model.system.start_function(p)[0]).ravel().copy()
     names = model.system.state_names
@@ -359,6 +381,15 @@ def write_csv(experiment: Experiment, model: Model, path: str | os.PathLike[str]
     -------
     Path
         The file.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written; an older file is then left as it was.
+
+    Examples
+    --------
+    >>> write_csv(simulate(model, inputs).record({"x": 2e-7}, rng), model, "run.csv")  # doctest: +SKIP
     """
     inputs = [(s.name, s.unit, experiment.inputs[s.name]) for s in model.inputs if s.name in experiment.inputs]
     outputs = [(s.name, s.unit, experiment.outputs[s.name]) for s in model.outputs if s.name in experiment.outputs]

@@ -80,6 +80,26 @@ def test_every_place_that_a_text_names_exists() -> None:
     assert not found, "\n".join(found)
 
 
+# Pages for contributors: what they call by its name alone is of this project, too.
+FOR_CONTRIBUTORS = ("CONTRIBUTING.md", "docs/architecture.md", "docs/decisions/")
+
+
+def test_every_file_and_function_that_contributors_are_sent_to_exists() -> None:
+    names = {path.name for path in files()}
+    pages = {path.as_posix(): text for path, text in texts() if path.as_posix().startswith(FOR_CONTRIBUTORS)}
+    gone = [
+        f"{page}: {name}"
+        for page, text in pages.items()
+        for name in re.findall(r"`(\w+\.py)`", text)
+        if name not in names
+    ]
+    sources = "\n".join(text for path, text in texts() if path.parts[0] == "greybox" and path.suffix == ".py")
+    defined = set(re.findall(r"^ *(?:(?:def|class) )?(\w+)(?=[:( ])", sources, re.MULTILINE))
+    places = pages["docs/architecture.md"].partition("## Where is")[2].partition("\n## ")[0]
+    gone += [name for name in re.findall(r"`(?:[A-Z]\w+\.)?(\w+)`", places) if name not in defined]
+    assert len(pages) > len(FOR_CONTRIBUTORS) and not gone, "\n".join(gone)
+
+
 @pytest.mark.parametrize(("name", "is_there"), [("greybox.base.units.Unit", True), ("greybox.base.nothing", False)])
 def test_a_place_is_a_module_or_a_name_in_one(name: str, is_there: bool) -> None:
     assert _is_name(name) is is_there

@@ -130,7 +130,7 @@ def test_the_studies_say_what_they_need(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("module", "folder", "told"),
     [
-        (silverbox_discovery, "silverbox", "the family is named, not the member"),
+        (silverbox_discovery, "silverbox", "these do not tell the member"),
         (emps_discovery, "emps", "**The classical offset imitated friction that differs by direction.**"),
         (cascaded_tanks_discovery, "cascaded_tanks", "they form an ambiguity set"),
     ],

@@ -73,7 +73,7 @@ def count_digits_needed(model: PolynomialModel) -> int:
     """Count the significant digits that a model's coefficients need.
 
     Rounding may make no stable model unstable, and change the frequency response, from one line of the record that the model was
-    fitted to up to half the sampling rate, by no more than ``policy.response_change``.
+    fitted to up to half the sampling rate, by no more than a hundredth.
 
     Parameters
     ----------

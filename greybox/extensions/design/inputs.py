@@ -155,7 +155,20 @@ class PiecewiseConstant:
 
 
 def staircase(levels: int, duration: float) -> Steps:
-    """Steps up to one, down to minus one and back, ``levels`` of them on each way."""
+    """Steps up to one, down to minus one and back, an input to be scaled.
+
+    Parameters
+    ----------
+    levels
+        Levels on each way, zero and the end included.
+    duration
+        Of the whole in seconds.
+
+    Returns
+    -------
+    Steps
+        Levels between -1 and 1, each held for as long.
+    """
     up = np.linspace(0, 1, levels)
     # Up, back, down and back: each level is met from both sides, which shows play and hysteresis.
     way = np.concatenate([up, up[-2::-1], -up[1:], -up[-2::-1]])

@@ -161,6 +161,11 @@ def to_transfer_function(model: Linearisation, pade: int = 4) -> Any:
     control.TransferFunction
         One numerator and denominator for each channel; its attribute ``linearisation`` is ``model``.
 
+    Raises
+    ------
+    ModelError
+        For an order outside 1 to 10.
+
     Examples
     --------
     >>> system = gb.export.to_transfer_function(gb.linearise(model))  # doctest: +SKIP
