@@ -25,6 +25,7 @@ from greybox.base import DataError, Finding, GreyboxError, shorten
 from greybox.base.errors import is_own_bug
 from greybox.base.extensions import ExtensionKind, describe_failures, load_extensions
 from greybox.data import channels, columns, text_table, time_base
+from greybox.data.input_course import Hold
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import enumerate_first
 from greybox.data.stamps import StampKind, Stamps
@@ -147,6 +148,15 @@ class RecordFile:
         """The file with these names of its columns in the place of its own; ``-`` for one that is not wanted. Raises DataError."""
         with _guarded(self.path, self.kind):
             return replace(self, table=self.table.rename(["" if n.strip() == "-" else n.strip() for n in names]))
+
+    def for_signals(
+        self, match: columns.ColumnMatch, common: Hold, named: Mapping[str, Hold], step: float | None
+    ) -> channels.ChannelTable:
+        """The table of channels that knows which is which signal, as `ChannelTable.for_signals`. Raises DataError for a damaged file."""
+        assert isinstance(self.table, channels.ChannelTable)
+        # A course that the readings decide needs them.
+        with _guarded(self.path, self.kind):
+            return self.table.for_signals(match, common, named, step)
 
     def load_channel(self, index: int) -> time_base.Samples:
         """The samples of one channel of a file whose signals have stamps of their own. Raises DataError for a damaged file."""

@@ -326,7 +326,7 @@ def read_arrays(
     problems = find_hold_problems(courses, inputs, outputs)
     raise_problems(file.path.name, problems)
     if channels is not None:
-        channels = channels.for_signals(match, common, named, sampling_time)
+        channels = file.for_signals(match, common, named, sampling_time)
         courses |= {use.name: use.course for use in channels.uses.values() if use.kind is SignalKind.INPUT}
         file = replace(file, table=channels)
     times = [c.position for s, c in match.columns.items() if s.kind is SignalKind.TIME]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -196,23 +196,22 @@ LARGEST_PADE_ORDER = 10
 
 
 def approximate_delays(model: Linearisation, order: int) -> Linearisation:
-    """A continuous ``model`` with its delays as Pade approximations of this ``order``, and a note up to which frequency they hold.
-
-    The phase of an approximation of order n is right to within a degree up to ``w delay`` of about ``1.6 n - 1``.
-    """
+    """A continuous ``model`` with its delays as Pade approximations of this ``order``, and a note up to which frequency they hold."""
     import control
     from scipy.signal import tf2ss  # half a second to import
 
     if not 1 <= order <= LARGEST_PADE_ORDER:
         raise ModelError(f"order {order} of a Pade approximation: give 1 to {LARGEST_PADE_ORDER}")
     # Of a delay of one second; another delay only changes the unit of time.
-    unit = tf2ss(*control.pade(1.0, order))
+    fraction = control.pade(1.0, order)
+    unit, reach = tf2ss(*fraction), _find_pade_reach(*fraction)
     A, B, C, D = model.A, model.B.copy(), model.C, model.D.copy()
     names, units, findings = list(model.state_names), list(model.state_units), list(model.findings)
     for j, seconds in enumerate(model.delay):
         if not seconds:
             continue
         # P(s T): time in units of the delay divides A and B by it.
+        # d = P(infinity) = (-1)^order.
         a, b, c, d = unit[0] / seconds, unit[1] / seconds, unit[2], float(unit[3][0, 0])
         corner = np.zeros((len(a), len(A)))
         # u_late = c x_d + d u enters where u did: B_j c beside A, B_j d in its own column.
@@ -226,7 +225,7 @@ def approximate_delays(model: Linearisation, order: int) -> Linearisation:
         B[-len(a) :, j] = b.ravel()
         names += [f"{model.input_names[j]}_late_{i + 1}" for i in range(len(a))]
         units += [model.input_units[j]] * len(a)
-        values = {"delay": float(seconds), "order": order, "limit": (1.6 * order - 1) / seconds}
+        values = {"delay": float(seconds), "order": order, "limit": reach / seconds}
         findings.append(Finding(ExportFinding.DELAY_APPROXIMATED, Severity.NOTE, model.input_names[j], values))
     extra = len(A) - len(model.A)
     return replace(
@@ -242,6 +241,21 @@ def approximate_delays(model: Linearisation, order: int) -> Linearisation:
         rates=np.append(model.rates, np.zeros(extra)),
         findings=tuple(findings),
     )
+
+
+# Radians by which the phase of an approximation may be wrong where it is said to hold.
+PADE_PHASE = np.deg2rad(1.0)
+
+
+def _find_pade_reach(numerator: Sequence[float], denominator: Sequence[float]) -> float:
+    """Largest ``w delay`` up to which a Pade approximation of ``exp(-s)`` has the phase of the delay, ``-w``, to within `PADE_PHASE`.
+
+    Its gain is that of a delay everywhere: one.
+    """
+    # It leaves the delay before its own phase ends: an order n turns by 180 n degrees in all.
+    w = np.linspace(0.0, np.pi * len(denominator), 20_001)
+    phase = np.unwrap(np.angle(np.polyval(numerator, 1j * w) / np.polyval(denominator, 1j * w)))
+    return float(w[np.argmax(np.abs(phase + w) > PADE_PHASE)])
 
 
 # ---- The nonlinear model ----

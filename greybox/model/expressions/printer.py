@@ -7,6 +7,7 @@ writes them.
 
 from __future__ import annotations
 
+import itertools
 import keyword
 import math
 import re
@@ -79,12 +80,16 @@ class Printed(NamedTuple):
 
 @dataclass(frozen=True)
 class CodeDialect(Dialect[Printed]):
-    """A language whose operations are a column of the table, and which writes ``choice`` for ``condition ? yes : no``."""
+    """A language whose operations are a column of the table, and which writes ``choice`` for ``condition ? yes : no``.
+
+    ``infinity`` and ``undefined`` are its words for these values; empty where it has none.
+    """
 
     name: str
     column: str
     choice: str
     infinity: str
+    undefined: str = ""
     brackets: str = "({})"
 
     def symbol(self, name: str) -> Printed:
@@ -92,7 +97,13 @@ class CodeDialect(Dialect[Printed]):
         return Printed(name, Binding.ATOM)
 
     def number(self, value: float) -> Printed:
-        """The shortest text that reads back as the same number."""
+        """The shortest text that reads back as the same number. Raises GreyboxError for NaN where the language has no word for it."""
+        if math.isnan(value):
+            if not self.undefined:
+                raise GreyboxError(
+                    f"the equations hold NaN, for which {self.name} has no word; give a number there, or keep to where it is not reached"
+                )
+            return Printed(self.undefined, Binding.ATOM)
         size = abs(value)
         text = repr(size) if size < math.inf else self.infinity
         text = text.removesuffix(".0") if len(text) <= LONGEST_INTEGER else text
@@ -160,8 +171,8 @@ class CodeDialect(Dialect[Printed]):
         return Printed(f"-{text}", Binding.NEGATION, opposite=text)
 
 
-PYTHON = CodeDialect("Python", "python", "ca.if_else({}, {}, {})", "ca.inf")
-NUMPY = CodeDialect("Python", "numpy", "np.where({}, {}, {})", "np.inf")
+PYTHON = CodeDialect("Python", "python", "ca.if_else({}, {}, {})", "ca.inf", 'float("nan")')
+NUMPY = CodeDialect("Python", "numpy", "np.where({}, {}, {})", "np.inf", "np.nan")
 MODELICA = CodeDialect("Modelica", "modelica", "(if {} then {} else {})", "1e300")
 FORMULA = CodeDialect("a formula", "formula", "", "1e999")
 
@@ -218,10 +229,15 @@ class Printer:
             printed = self._print_node(node)
             shareable = printed.binding > Binding.COMPARISON and printed.half is None
             if shareable and self._uses[node.element_hash()] > 1 and len(printed.text) > self.shortest_shared:
-                self.shared.append((f"{self.prefix}_{len(self.shared) + 1}", printed.text))
+                self.shared.append((self._name_part(), printed.text))
                 printed = Printed(self.shared[-1][0], Binding.ATOM)
             self._printed[node.element_hash()] = printed
         return self._printed[root.element_hash()]
+
+    def _name_part(self) -> str:
+        """The next name of a shared part that no symbol has."""
+        taken = {name for name, _ in self.shared} | set(self.symbols.values())
+        return next(name for k in itertools.count(len(self.shared) + 1) if (name := f"{self.prefix}_{k}") not in taken)
 
     def _print_node(self, node: ca.SX) -> Printed:
         if node.is_symbolic():

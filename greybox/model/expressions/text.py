@@ -313,6 +313,7 @@ LATEX = LatexDialect(
     "latex",
     r"\begin{{cases}}{1} & {0} \\ {2} & \text{{otherwise}}\end{{cases}}",
     r"\infty",
+    r"\text{NaN}",
     r"\left({}\right)",
 )
 

@@ -1,5 +1,6 @@
 """Linear models of a fit: against matrices by hand, python-control and scipy; kinks, friction, delays, units of one size."""
 
+import math
 from dataclasses import replace
 
 import control
@@ -13,6 +14,7 @@ from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError
 from greybox.estimation.linear.exported_model import ExportFinding as Code
 from greybox.estimation.linear.operating_point import find_operating_point
+from greybox.extensions.export.python_control import approximate_delays
 from greybox.simulation.simulate import simulate_twin
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance
 from models.pneumatic_cylinder import pneumatic_cylinder
@@ -172,6 +174,47 @@ def test_the_models_own_delay_counts_and_a_continuous_system_approximates_it():
     )
     sampled = gb.linearise(late, dt=2.5e-4)
     assert sampled.state_names == ("x", "v", "i", "u_1", "u_2")
+
+
+FED_THROUGH = Model(
+    "fed_through",
+    [State("a", "1")],
+    [Input("w", "1")],
+    [Output("a", "1"), Output("y", "1", lambda x, u, p: x.a + p.g * u.w)],
+    [Parameter("r", "1/s", 5.0), Parameter("g", "1", 0.5)],
+    lambda x, u, p: [Balance("rate", "1/s", 1, "a", rate=p.r * (u.w - x.a))],
+)
+
+
+@pytest.mark.parametrize("order", range(1, 11))
+@pytest.mark.parametrize("output", [0, 1], ids=["strictly proper", "fed through"])
+def test_a_delay_of_every_order_is_right_from_rest_to_infinity(order, output):
+    """Against exp(-j w T): an odd order ends at -1, an even one at +1."""
+    seconds = 0.02
+    model = gb.linearise(FED_THROUGH, delay=seconds)
+    # Well inside the band of every order: within a degree.
+    w = np.array([0.0, *np.geomspace(0.01, order / 2, 12)]) / seconds
+    lag = 1 / (1j * w / 5.0 + 1)
+    exact = (lag, lag + 0.5)[output] * np.exp(-1j * w * seconds)
+    for system in (gb.export.to_state_space(model, order), gb.export.to_transfer_function(model, order)):
+        found = system.frequency_response(w).complex[output, 0]
+        np.testing.assert_allclose(found / exact, 1, atol=np.deg2rad(1))
+    d = gb.export.to_state_space(model, order).D[output, 0]
+    assert d == pytest.approx((-1) ** order * 0.5 * output)
+
+
+@pytest.mark.parametrize("order", range(1, 11))
+def test_an_approximated_delay_says_up_to_where_it_holds(order):
+    """At the limit the phase is wrong by a degree, below it by less: P(s) = N(-s) / N(s), so that its phase is twice that of N(-jw)."""
+    seconds = 0.02
+    approximated = approximate_delays(gb.linearise(FED_THROUGH, delay=seconds), order)
+    (limit,) = (f.values["limit"] for f in approximated.findings if f.code is Code.DELAY_APPROXIMATED)
+    # N(s) = sum_k (2n - k)! / (k! (n - k)!) s^k (G. H. Golub, C. F. Van Loan, Matrix computations, 9.3).
+    n, f = order, math.factorial
+    below = np.linspace(0, limit * seconds, 400)
+    value = sum(f(2 * n - k) / (f(k) * f(n - k)) * (-1j * below) ** k for k in range(n + 1))
+    wrong = np.abs(2 * np.unwrap(np.angle(value)) + below)
+    assert wrong.max() == pytest.approx(np.deg2rad(1), rel=0.05) and wrong.argmax() == len(below) - 1
 
 
 def test_an_equilibrium_is_found_from_the_input_or_from_a_state():

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
 import pytest
 
+from greybox.base import GreyboxError
 from greybox.model.expressions.graph import nodes, walk
 from greybox.model.expressions.operations import Binding
 from greybox.model.expressions.printer import MODELICA, PYTHON, Printer
@@ -32,6 +35,7 @@ SYMBOLS = {"x": "x", "y": "y", "z": "z"}
         (ca.fmin(x + y, 0.1), "ca.fmin(x + y, 0.1)"),
         (ca.if_else(x < y, x, z), "ca.if_else(x < y, x, z)"),
         (x * ca.inf, "ca.inf * x"),
+        (ca.if_else(x < y, math.nan, z), 'ca.if_else(x < y, float("nan"), z)'),
     ],
 )
 def test_python(expression: ca.SX, expected: str) -> None:
@@ -43,6 +47,11 @@ def test_modelica_spells_choices_and_powers_its_own_way() -> None:
     assert text == "(if (x < y) and (z <= 1) then x^2 else max(y, 0))"
 
 
+def test_a_language_without_a_word_for_nan_refuses_it() -> None:
+    with pytest.raises(GreyboxError, match="NaN, for which Modelica has no word"):
+        Printer(MODELICA, SYMBOLS).write(ca.if_else(x < y, math.nan, z))
+
+
 def test_a_part_that_is_used_twice_gets_a_name() -> None:
     long = ca.sqrt(ca.fabs(x * y + z * y - x)) + 12345.678
     printer = Printer(PYTHON, SYMBOLS)
@@ -51,6 +60,13 @@ def test_a_part_that_is_used_twice_gets_a_name() -> None:
     assert [name for name, _ in printer.shared] == ["part_1"]
     plain = Printer(PYTHON, SYMBOLS)
     assert "part" not in plain.write(long * x) + plain.write(long * y), "without counting, nothing is shared"
+
+
+def test_a_part_takes_no_name_of_a_symbol() -> None:
+    long = ca.sqrt(ca.fabs(x * y + z * y - x)) + 12345.678
+    printer = Printer(PYTHON, {**SYMBOLS, "y": "part_1"})
+    printer.count_uses([long * x, long * z])
+    assert printer.write(long * x) == "part_2 * x"
 
 
 def test_what_is_printed_says_how_tightly_it_holds() -> None:
