@@ -494,8 +494,7 @@ outputs; of MGH10 with `iterations={iterations}`.
 - A fit has *reached* the optimum where its sum of squares is within 0.1 % of the published one.
 - *Published starts*: the one or two that the source gives. *Random starts*: each constant between a tenth and ten times its
   published value.
-- *Standard errors* beside those of linear regression at the published optimum, with slopes by differences of another solver: the
-  largest difference.
+- *Standard errors*: the largest difference from those of linear regression at the published optimum.
 - *Missed*: how the fits ended that did not reach it, and their sum of squares over the published one.
 
 From the published starts {published} fits reach the optimum, from random ones {random}.

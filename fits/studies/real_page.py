@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fits.papers.paper_page import write_section
+from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.result import Discovery
 
 PAGE = "real_data.md"
@@ -19,7 +20,7 @@ us](../measured_lessons.md)).
 Written by `python -m fits.studies.real_data FOLDER`, with the folders `silverbox`, `emps` and `cascaded_tanks` below FOLDER; the records
 are not part of this project. Constants and effects come from the training record alone, part of which is kept back to choose by. All
 errors are those of free runs, as root mean squares. Three settings were settled with test errors in view: the rows of the last silverbox
-fit, the first part of an EMPS arc that gives its initial state, and the form of the tanks' reading curve.
+fit, the first part of an EMPS arc, and the form of the tanks' reading curve.
 """
 
 
@@ -43,5 +44,7 @@ def write(folder: Path, name: str, parts: Sequence[str]) -> Path:
 
 
 def verdict_text(discovery: Discovery) -> str:
-    """The finding in its own words."""
-    return f"`greybox discover` (verdict *{discovery.verdict}*): {discovery.story}"
+    """The finding in its own words, without what is said of the rest."""
+    of_rest = (DiscoveryCode.ERROR_LEFT, DiscoveryCode.MISSING_SIGNAL)
+    story = " ".join(str(finding) for finding in discovery.conclusion if finding.code not in of_rest)
+    return f"`greybox discover` (verdict *{discovery.verdict}*): {story}"
