@@ -142,8 +142,9 @@ _entries = cache(entry_points)  # reads the metadata of every installed distribu
 
 
 def _sorted_entries(kind: ExtensionKind) -> list[EntryPoint]:
-    """Own entries first, so that nobody's package takes the place of what is shipped."""
-    return sorted(_entries().select(group=f"greybox.{kind}"), key=lambda entry: _distribution(entry) != OWN)
+    """By name, own entries first, so that nobody's package takes the place of what is shipped."""
+    # In whatever order an installer has written them.
+    return sorted(_entries().select(group=f"greybox.{kind}"), key=lambda e: (_distribution(e) != OWN, e.name))
 
 
 def _distribution(entry: EntryPoint) -> str:

@@ -94,7 +94,7 @@ def conclude(
     answer = replace(answer, findings=findings)
     answer = _hold_against_test(_settle(answer, test), test)
     surrogate = _fit_stand_in(answer, test)
-    return _describe(answer, surrogate, test)
+    return _describe(answer, surrogate)
 
 
 def _weigh_answer(answer: SearchAnswer, is_last: bool = False) -> SearchAnswer:
@@ -330,7 +330,7 @@ def _fit_stand_in(answer: SearchAnswer, test: ValidationSet) -> Surrogate | None
     return surrogate if follows and judge_on_test(problem, answer.base, surrogate.fit, test) else None
 
 
-def _describe(answer: SearchAnswer, surrogate: Surrogate | None, test: ValidationSet) -> Discovery:
+def _describe(answer: SearchAnswer, surrogate: Surrogate | None) -> Discovery:
     """The answer with what is left and where, what to do next, and its conclusion."""
     search, verdict, problem = answer.search, answer.verdict, answer.problem
     of_plain = answer.location or ResidualLocalisation.without_sites(answer.plain)
