@@ -9,28 +9,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Any
 
 from greybox.base.errors import GreyboxError
 from greybox.base.parallel.local_pool import count_cores, quiet_children
 
 # The address of a cluster that is started on this machine, to try.
 LOCAL = "local"
-
-
-class WorkersHealth(Protocol):
-    """Whether it makes sense to wait for workers any longer."""
-
-    def find_fault(self, finished: int, is_alone: bool = False) -> str:
-        """Why it does not; empty where it does. ``finished`` counts the jobs that workers have done; ``is_alone``: one is left to do."""
-
-
-class AlwaysHealthy:
-    """Workers that tell of their end themselves: processes of this machine."""
-
-    def find_fault(self, finished: int, is_alone: bool = False) -> str:
-        """Nothing to say."""
-        return ""
 
 
 # Seconds without an answer of the scheduler after which it is lost. A scheduler that is busy answers within a few.
@@ -58,7 +43,7 @@ FRUITLESS_SECONDS = 40.0
 
 
 class DaskHealth:
-    """The scheduler's answers, and the workers that come and go."""
+    """Whether it makes sense to wait for workers any longer: the scheduler's answers, and the workers that come and go."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -72,7 +57,8 @@ class DaskHealth:
     def find_fault(self, finished: int, is_alone: bool = False) -> str:
         """Why waiting is in vain: a client that is closed, a scheduler that does not answer, workers that die one after another.
 
-        Workers that die while one job is left may die of it: Dask gives it up, and it is named.
+        Empty where it is not. ``finished`` counts the jobs that workers have done; ``is_alone``: one is left to do. Workers that die
+        then may die of it: Dask gives it up, and it is named.
         """
         now = time.monotonic()
         if self._client.status in ("closed", "closing"):
@@ -168,9 +154,9 @@ def adopt_executor(executor: Executor) -> Executor:
     return DaskExecutor(client) if type(executor).__module__.startswith("distributed") and client else executor
 
 
-def watch_executor(executor: Executor) -> WorkersHealth:
-    """How to notice that an executor is lost; by its kind."""
-    return DaskHealth(executor.client) if isinstance(executor, DaskExecutor) else AlwaysHealthy()
+def watch_executor(executor: Executor) -> DaskHealth | None:
+    """How to notice that an executor is lost; None where it tells itself, as processes of this machine do."""
+    return DaskHealth(executor.client) if isinstance(executor, DaskExecutor) else None
 
 
 # Workers of a local cluster that may die of a job before it is tried alone: each takes seconds to replace.

@@ -13,7 +13,7 @@ from typing import Any
 
 from greybox.base.errors import GreyboxError, WorkersLostError, is_numerical
 from greybox.base.interrupts import hold_interrupts
-from greybox.base.parallel.cluster import WorkersHealth, adopt_executor, open_cluster, watch_executor
+from greybox.base.parallel.cluster import DaskHealth, adopt_executor, open_cluster, watch_executor
 from greybox.base.parallel.local_pool import (
     LocalPool,
     count_cores,
@@ -177,7 +177,7 @@ class _Book:
                 reason = alone if isinstance(executor, LocalPool) else "died, or the executor broke"
                 self.enter(group[0], JobResult(error=f"its worker {reason}: {self.losses[group[0]]}"))
 
-    def submit(self, executor: Executor, group: Sequence[int], health: WorkersHealth) -> None:
+    def submit(self, executor: Executor, group: Sequence[int], health: DaskHealth | None) -> None:
         """Run some jobs. Those that were lost with their workers have no result, and one more try."""
         payload = pack((self.job, self.common))
         waiting: dict[Future, int] = {}
@@ -235,9 +235,9 @@ class _Book:
         self.tries[k] += 1
         self.losses[k] = f"{type(error).__name__}: {error}"[:200]
 
-    def check(self, health: WorkersHealth, waiting: Collection[Future]) -> None:
+    def check(self, health: DaskHealth | None, waiting: Collection[Future]) -> None:
         """Raise WorkersLostError where waiting is in vain."""
-        fault = health.find_fault(self.done_by_workers, is_alone=len(waiting) <= 1)
+        fault = health.find_fault(self.done_by_workers, is_alone=len(waiting) <= 1) if health else ""
         if fault and self.open:
             raise WorkersLostError(f"the cluster is given up, {fault}", self.results)
 

@@ -46,12 +46,7 @@ def fleet(study: FleetStudy) -> Answer:
 
     plant = set_parameters(find_plain_model(study), study)
     folder = result_folder(study, plant.name)
-    references = find_records(
-        study.estimation,
-        record=study.record,
-        hold=study.hold,  # type: ignore[arg-type]
-        **layout_of(study),
-    )
+    references = find_records(study.estimation, record=study.record, hold=study.hold, **layout_of(study))
     journal = folder / JOURNAL
     with open_workers(study.workers, study.cluster) as executor, show_progress() as show:
         result = fit_each(

@@ -9,20 +9,19 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from greybox.base import DataError, Finding
+from greybox.base import DataError, Finding, nearest
 from greybox.base.texts import to_word
-from greybox.data.columns import ColumnMapping
 from greybox.data.experiment import Experiment
 from greybox.data.file_kinds import list_record_files
 from greybox.data.findings import RecordCode
-from greybox.data.input_course import Hold, Holds
-from greybox.data.policy import READING_POLICY, ReadingPolicy
-from greybox.data.read import WHOLE, Window, find_shared_courses, read_csv
+from greybox.data.policy import READING_POLICY
+from greybox.data.read import find_shared_courses, read_csv
 from greybox.model import Model
 
 
@@ -111,15 +110,7 @@ def find_records(
     paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
     record: str = "",
-    columns: ColumnMapping | Sequence[str] | None = None,
-    sampling_time: float | None = None,
-    hold: Holds = "auto",
-    interpolation: Mapping[str, Hold] | None = None,
-    before: Mapping[str, float] | None = None,
-    conditions: Mapping[str, float | None] | None = None,
-    allow_constant_input: bool = False,
-    window: Window = WHOLE,
-    reading: ReadingPolicy = READING_POLICY,
+    **layout: Any,
 ) -> RecordCollection:
     """List the records in files and folders; none is read yet.
 
@@ -129,8 +120,9 @@ def find_records(
         Files of any kind that can be read, and folders of such files. Files of the same name get their folder's name in front.
     record
         Column that names the record of each row, for Parquet files that hold many; the rows of a record stand together.
-    columns, sampling_time, hold, interpolation, before, conditions, allow_constant_input, window, reading
-        As of `greybox.read_csv`, for all records. `fit_each` takes one course for an input that nobody tells, as a dozen records show it.
+    **layout
+        Options of `greybox.read_csv` for all records: ``columns``, ``sampling_time``, ``hold`` ... `fit_each` takes one course for an
+        input that nobody tells, as a dozen records show it.
 
     Returns
     -------
@@ -142,12 +134,17 @@ def find_records(
     ------
     DataError
         For no file, a folder without records, or ``record`` beside a file that is no Parquet file.
+    TypeError
+        For an option that `greybox.read_csv` does not have.
 
     Examples
     --------
     >>> find_records("bench/2024-06", hold="first")  # doctest: +SKIP
     >>> find_records("bench.parquet", record="serial_number")  # doctest: +SKIP
     """
+    known = {*signature(read_csv).parameters}.difference(("path", "model", "name"))
+    if unknown := layout.keys() - known:
+        raise TypeError(f"find_records has no option {min(unknown)!r}; {nearest(min(unknown), known)}")
     files = list_record_files([paths] if isinstance(paths, str | os.PathLike) else paths)
     if not files:
         raise DataError("no records; give a file or a folder of records")
@@ -167,17 +164,6 @@ def find_records(
     for k, each in enumerate(references):
         if counts[each.name] > 1:
             references[k] = replace(each, name=f"{each.path}{'' if each.rows is None else ' ' + each.name}")
-    layout = {
-        "columns": columns,
-        "sampling_time": sampling_time,
-        "hold": hold,
-        "interpolation": interpolation,
-        "before": before,
-        "conditions": conditions,
-        "allow_constant_input": allow_constant_input,
-        "window": window,
-        "reading": reading,
-    }
     return RecordCollection(tuple(references), layout)
 
 

@@ -260,6 +260,11 @@ def test_files_of_one_name_get_their_folder_in_front(tmp_path: Path) -> None:
         gb.fleet.find_records(tmp_path / "a", record="serial")
 
 
+def test_an_option_that_reading_does_not_have_is_refused_before_a_record_is_read(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match=r"no option 'holds'; did you mean 'hold'\?"):
+        gb.fleet.find_records(tmp_path, holds="first")
+
+
 def test_the_table_holds_every_number_and_comes_back(tmp_path: Path) -> None:
     time, u, y = simulate(1)
     broken = gb.Experiment.from_arrays(time, {"u": u}, {"z": y}, name="other")
