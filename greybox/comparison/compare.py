@@ -122,8 +122,12 @@ class NamedModel:
     findings: tuple[Finding, ...] = ()
 
 
+# Rows of a validation record that must be left after ``skip``.
+COMPARISON_FEWEST_ROWS = 2
+
+
 def compare(
-    models: Sequence[ComparedModel] | Mapping[str, ComparedModel],
+    models: Sequence[ComparedModel | NamedModel] | Mapping[str, ComparedModel],
     experiments: Experiment | Sequence[Experiment] = (),
     *,
     training: Experiment | Sequence[Experiment] = (),
@@ -139,7 +143,7 @@ def compare(
     ----------
     models
         Physical models and fits, black-box models (`greybox.blackbox`), and lists of black-box models that stand for one output
-        each; as a list, or by name.
+        each; as a list, with names of their own or not, or by name.
     experiments
         The validation records.
     training
@@ -180,43 +184,18 @@ def compare(
             return as_model(model).title
         return (model[0] if isinstance(model, Sequence) else model).kind.replace(" ", "_").replace("-", "_")
 
-    named = models.items() if isinstance(models, Mapping) else ((name_of(m), m) for m in models)
-    return compare_named(
-        [NamedModel(name, model) for name, model in named],
-        name_records(experiments),
-        name_records(training),
-        skip=skip,
-        beginning=beginning,
-        steps=steps,
-        options=options,
-        units=units,
-    )
-
-
-# Rows of a validation record that must be left after ``skip``.
-COMPARISON_FEWEST_ROWS = 2
-
-
-def compare_named(
-    models: Sequence[NamedModel],
-    validation: Sequence[Experiment],
-    training: Sequence[Experiment],
-    *,
-    skip: int = 0,
-    beginning: int = 0,
-    steps: Sequence[int] = (),
-    options: FitOptions | None = None,
-    units: Mapping[str, str] | None = None,
-    findings: tuple[Finding, ...] = (),
-) -> result.Comparison:
-    """`compare` for models that have their names; ``findings``: what could not be compared."""
-    if not models:
+    if isinstance(models, Mapping):
+        entered = [NamedModel(name, model) for name, model in models.items()]
+    else:
+        entered = [m if isinstance(m, NamedModel) else NamedModel(name_of(m), m) for m in models]
+    validation, training = name_records(experiments), name_records(training)
+    if not entered:
         raise DataError("no model to compare; give at least one")
-    names = [named.name for named in models]
+    names = [named.name for named in entered]
     duplicates = sorted({n for n in names if names.count(n) > 1})
     if duplicates:
         raise DataError(f"models of the same name: {', '.join(duplicates)}; give a dictionary of names and models")
-    fits = [named.model for named in models if isinstance(named.model, Fit)]
+    fits = [named.model for named in entered if isinstance(named.model, Fit)]
     training = training or (tuple(t.experiment for t in fits[0].traces) if fits else ())
     if not validation and not training:
         raise DataError("no record to compare on; give experiments, or the training records")
@@ -233,11 +212,11 @@ def compare_named(
         if options is not None
         else any(FitOptions.from_data(f.provenance.options).at_rest for f in fits)
     )
-    stated = [as_model(named.model) for named in models if isinstance(named.model, (Model, Fit))]
+    stated = [as_model(named.model) for named in entered if isinstance(named.model, (Model, Fit))]
     known_units = {o.name: o.unit for model in stated for o in model.outputs} | dict(units or {})
     setup = _Setup(
-        tuple(validation),
-        tuple(training),
+        validation,
+        training,
         skip,
         beginning,
         tuple(sorted({int(k) for k in steps} - {1})),
@@ -249,7 +228,7 @@ def compare_named(
         _black_box_entry(named, setup)
         if not isinstance(named.model, (Model, Fit))
         else _grey_box_entry(named, named.model, setup)
-        for named in models
+        for named in entered
     )
     outputs = dict.fromkeys(name for e in entries for name in (*e.training, *e.validation))
     comparison = result.Comparison(
@@ -258,7 +237,6 @@ def compare_named(
         tuple(e.name for e in training),
         tuple(e.name for e in validation),
         skip,
-        findings=findings,
         options=options,
     )
     return replace(comparison, verdict=judge_comparison(comparison))

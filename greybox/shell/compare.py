@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +36,8 @@ def compare(study: Study) -> Answer:
     """
     from greybox.base.parallel.jobs import open_workers
     from greybox.comparison.black_box_candidates import check_sampling_times
-    from greybox.comparison.compare import NamedModel, compare_named
+    from greybox.comparison.compare import NamedModel
+    from greybox.comparison.compare import compare as compare_models
 
     plain = inputs.build_model(study)
     extensions = [tuple(name.strip() for name in text.split("+")) for text in study.candidates]
@@ -69,16 +71,16 @@ def compare(study: Study) -> Answer:
         black, findings = _black_boxes(plain, records, study.at_rest, show)
         show("judging")
         grey = [NamedModel(fit.model.title, fit, seconds) for fit, seconds in fits]
-        result = compare_named(
+        compared = compare_models(
             [*grey, *black],
             validation,
-            records,
+            training=records,
             skip=study.skip,
             beginning=study.beginning,
             steps=[k for k in study.predict if k],
             options=fitting,
-            findings=findings,
         )
+        result = replace(compared, findings=findings)
     journal.unlink(missing_ok=True)
     by_title = {fit.model.title: fit for fit, _ in fits}
     added = dict(zip((fit.model.title for fit, _ in fits), ((), *extensions), strict=True))
