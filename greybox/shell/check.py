@@ -118,5 +118,4 @@ CHECK = Command(
         *(options.LAYOUT, options.SUBSTEPS),
     ),
     lenient=True,
-    prints=("greybox.estimation.check:ModelCheck", "greybox.data.survey:FileSurvey", "greybox.data.survey:FileSurveys"),
 )

@@ -231,5 +231,4 @@ COMPARE = Command(
         "greybox compare silverbox train.csv --validate test.csv --skip 50 --effects cubic_stiffness,cubic_stiffness+input_offset",
     ),
     (*options.FITTING_RULES, *options.sharing(Study.starts)),
-    prints=("greybox.shell.printed:ComparisonAnswer",),
 )

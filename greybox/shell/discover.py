@@ -152,5 +152,4 @@ DISCOVER = Command(
         "greybox discover emps train.csv --validate test.csv --effects coulomb_friction,constant_load",
     ),
     (options.LAYOUT, options.SUBSTEPS, *options.VALIDATING),
-    prints=("greybox.discovery.result:Discovery",),
 )

@@ -304,5 +304,4 @@ FIT = Command(
         "greybox fit emps record.csv --effect coulomb_friction --hold first",
     ),
     (*options.FITTING_RULES, *options.sharing(Study.starts, Study.profiles, Study.bootstrap)),
-    prints=("greybox.shell.answers:FitAnswer",),
 )

@@ -5,20 +5,48 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pkgutil import resolve_name
 from typing import Any, ClassVar, NotRequired, TypedDict
 
 from greybox.base import GreyboxError, nearest
+from greybox.base.extensions import ExtensionKind, list_extensions
 from greybox.base.json_shape import DRAFT, FileKind, Interval, make_definitions
 from greybox.comparison.result import Comparison
 from greybox.estimation.result_parts import Estimate
 
+# Command -> types of what it prints with ``--json``; several where it depends on what was given. The module of a command or a plant of an
+# extension has a table of this name for its own.
+PRINTS: Mapping[str, tuple[str, ...]] = {
+    "fit": ("greybox.shell.answers:FitAnswer",),
+    "compare": ("greybox.shell.printed:ComparisonAnswer",),
+    "discover": ("greybox.discovery.result:Discovery",),
+    "check": (
+        "greybox.estimation.check:ModelCheck",
+        "greybox.data.survey:FileSurvey",
+        "greybox.data.survey:FileSurveys",
+    ),
+    "simulate": ("greybox.shell.printed:PrintedSimulation",),
+    "models": ("greybox.shell.printed:ModelList", "greybox.shell.printed:PrintedModel"),
+    "effects": ("greybox.shell.printed:EffectList",),
+    "init": ("greybox.shell.printed:PrintedProject",),
+    "extensions": ("greybox.shell.printed:ExtensionList",),
+    "demo": ("greybox.discovery.result:Discovery",),
+    "schema": ("greybox.shell.printed:JsonSchema",),
+}
+
 
 def list_printed() -> dict[str, tuple[str, ...]]:
     """Command -> types of what it prints, those of extensions included."""
-    from greybox.shell.commands import COMMANDS
-
-    return {name: command.prints for name, command in COMMANDS.items() if command.prints}
+    printed = dict(PRINTS)
+    for kind in (ExtensionKind.COMMANDS, ExtensionKind.PLANTS):
+        for entry in list_extensions(kind):
+            if not entry.failure:
+                module = import_module(entry.place.partition(":")[0])
+                for command, places in getattr(module, "PRINTS", {}).items():
+                    known = printed.get(command, ())
+                    printed[command] = (*known, *(place for place in places if place not in known))
+    return printed
 
 
 def schema_of_command(command: str) -> dict[str, Any]:

@@ -48,7 +48,6 @@ INIT = Command(
     "Create a project with example files.",
     (Study.directory, Study.plant, Study.force, Study.json),
     ("greybox init my_rig", "cd my_rig && greybox models"),
-    prints=("greybox.shell.printed:PrintedProject",),
 )
 
 # `greybox demo`.
@@ -95,7 +94,6 @@ DEMO = Command(
     ),
     ("greybox demo", "greybox demo --output somewhere"),
     (Excludes(Study.opened, Study.no_report, "there is a report to open, or none"),),
-    prints=("greybox.discovery.result:Discovery",),
 )
 
 # `greybox models`.
@@ -151,7 +149,6 @@ MODELS = Command(
         *(Study.added, Study.json, Study.details.but(help="Write blocks of terms out in full.")),
     ),
     ("greybox models", "greybox models micro_actuator", "greybox models my/rig.py"),
-    prints=("greybox.shell.printed:ModelList", "greybox.shell.printed:PrintedModel"),
 )
 
 # `greybox effects`.
@@ -223,7 +220,6 @@ EFFECTS = Command(
         ),
         Needs(Study.added, (Study.some_model,), "there is no model to add it to"),
     ),
-    prints=("greybox.shell.printed:EffectList",),
 )
 
 
@@ -261,7 +257,6 @@ SCHEMA = Command(
     "Print the JSON Schema of what a command prints with --json.",
     (Study.json_command, Study.json),
     ("greybox schema fit", "greybox schema changed > changed.schema.json"),
-    prints=("greybox.shell.printed:JsonSchema",),
 )
 
 
@@ -289,5 +284,4 @@ EXTENSIONS = Command(
     "List what extensions add to the program.",
     (Study.json,),
     ("greybox extensions", "greybox extensions --json"),
-    prints=("greybox.shell.printed:ExtensionList",),
 )

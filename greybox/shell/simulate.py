@@ -190,5 +190,4 @@ SIMULATE = Command(
         ),
         Needs(Study.draws, (Study.noise, Study.multisine), "nothing here is random"),
     ),
-    prints=("greybox.shell.printed:PrintedSimulation",),
 )

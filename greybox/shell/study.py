@@ -555,8 +555,6 @@ class Command:
         `Study`, or a class that adds options to it.
     like
         Another command whose tables in a study file count for this one.
-    prints
-        Types of what it prints with ``--json``, each as ``module:name``; several where it depends on what was given.
     lenient
         Whether it passes over what it does not use at the top of a study file, and says so, instead of refusing it.
     """
@@ -568,7 +566,6 @@ class Command:
     relations: tuple[Relation, ...] = ()
     study: type[Study] = Study
     like: str = ""
-    prints: tuple[str, ...] = ()
     lenient: bool = False
 
     def __post_init__(self) -> None:

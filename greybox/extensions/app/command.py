@@ -275,6 +275,8 @@ COMMAND = Command(
         Idle(NOT_HERE, "in the app", remedy=", and give {it} to greybox fit with the study that the app exports"),
     ),
     study=AppStudy,
-    prints=("greybox.extensions.app.command:PrintedAddress",),
     like="fit",
 )
+
+PRINTS = {"app": ("greybox.extensions.app.command:PrintedAddress",)}
+"""Command -> types of what it prints with ``--json``."""

@@ -144,5 +144,7 @@ CHANGED = Command(
         ),
     ),
     study=ChangeStudy,
-    prints=("greybox.extensions.changes.result:ChangeDetection",),
 )
+
+PRINTS = {"changed": ("greybox.extensions.changes.result:ChangeDetection",)}
+"""Command -> types of what it prints with ``--json``."""

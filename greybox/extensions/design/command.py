@@ -326,7 +326,6 @@ DESIGN = Command(
         ),
     ),
     study=DesignStudy,
-    prints=("greybox.extensions.design.problem:Design",),
 )
 
 
@@ -355,5 +354,10 @@ CAMPAIGN = Command(
     ),
     (options.LAYOUT,),
     study=DesignStudy,
-    prints=("greybox.extensions.design.campaign:Campaign",),
 )
+
+PRINTS = {
+    "design": ("greybox.extensions.design.problem:Design",),
+    "campaign": ("greybox.extensions.design.campaign:Campaign",),
+}
+"""Command -> types of what it prints with ``--json``."""

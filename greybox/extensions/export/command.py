@@ -205,5 +205,7 @@ EXPORT = Command(
         Needs(OWN.observer_noise, (OWN.observer,), "it is the noise of a Kalman filter"),
     ),
     study=ExportStudy,
-    prints=("greybox.extensions.export.linear_files:PrintedExport",),
 )
+
+PRINTS = {"export": ("greybox.extensions.export.linear_files:PrintedExport",)}
+"""Command -> types of what it prints with ``--json``."""

@@ -113,5 +113,7 @@ FLEET = Command(
     ),
     (options.LAYOUT,),
     study=FleetStudy,
-    prints=("greybox.extensions.fleet.result:FleetResult",),
 )
+
+PRINTS = {"fleet": ("greybox.extensions.fleet.result:FleetResult",)}
+"""Command -> types of what it prints with ``--json``."""

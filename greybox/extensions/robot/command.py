@@ -119,5 +119,7 @@ ROBOT = Command(
     ),
     (options.LAYOUT,),
     study=RobotStudy,
-    prints=("greybox.extensions.robot.result:RobotIdentification",),
 )
+
+PRINTS = {"robot": ("greybox.extensions.robot.result:RobotIdentification",)}
+"""Command -> types of what it prints with ``--json``."""
