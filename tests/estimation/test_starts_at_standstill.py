@@ -1,9 +1,10 @@
-"""Records that begin in motion, of a plant with dry friction whose first velocity is not measured: the search begins at standstill."""
+"""Records that begin in motion, of a plant with dry friction whose first velocity is not measured."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit, simulate
 
@@ -53,3 +54,54 @@ def records() -> list[Experiment]:
 def test_a_search_that_stands_at_the_standstill_is_no_success(records):
     found = fit(drive().start(Fc=0.01), records, noise={"th": NOISE}, options=FitOptions(other_starts=0))
     assert not found.success or found.misfit["th"].noise_ratio < 1.1
+
+
+@pytest.mark.parametrize("start", [{"Fc": 0.01}, {"b": 1e-3, "Fc": 0.02}, {}], ids=["near", "braked", "not begun"])
+def test_the_search_finds_the_motion_that_a_record_begins_in(records, start):
+    found = fit(drive().start(**start), records, noise={"th": NOISE}, options=FitOptions(other_starts=0))
+    assert found.success and found.misfit["th"].noise_ratio < 1.1
+    for name, value in TRUTH.items():
+        assert found.parameters[name].value == pytest.approx(value, rel=0.02)
+
+
+def test_so_it_does_with_a_plant_that_is_not_linear_without_friction_either(records):
+    braked = (drive() + effect("quadratic_damping")).start(Fc=0.01).fix(B2=1e-9)
+    found = fit(braked, records, noise={"th": NOISE}, options=FitOptions(other_starts=0))
+    assert found.success and found.misfit["th"].noise_ratio < 1.1
+
+
+def coast(w0: float, b: float, level: float, t: np.ndarray) -> np.ndarray:
+    """The angle of a wheel of unit inertia: w' = -b w - level until it stands, in closed form."""
+    # w = (w0 + level / b) exp(-b t) - level / b until ts = log(1 + b w0 / level) / b.
+    way, speed = np.sign(w0), abs(w0)
+    ts = np.minimum(t, np.log1p(b * speed / level) / b)
+    return way * ((speed + level / b) * -np.expm1(-b * ts) / b - level / b * ts)
+
+
+@pytest.mark.parametrize("w0", [3.0, -8.0])
+@pytest.mark.parametrize("begin", [{"b": 0.5, "Fc": 0.5}, {"b": 0.5}], ids=["begun", "not begun"])
+def test_a_wheel_that_coasts_ends_at_the_optimum_of_its_closed_form(w0, begin):
+    wheel = Model(
+        "wheel",
+        states=[State("w", "rad/s", role="velocity"), State("th", "rad", role="displacement")],
+        inputs=[Input("u", "N*m", role="drive")],
+        outputs=[Output("th", "rad")],
+        parameters=[
+            Parameter("J", "kg*m^2", 1.0, fixed=True, role="mass"),
+            Parameter("b", "N*m*s", 0.1, (1e-4, 100.0), role="damping"),
+        ],
+        balances=lambda x, u, p: [
+            Balance("torque", "N*m", p.J, "w", drive=u.u, viscous=-p.b * x.w),
+            Balance("angle", "rad/s", 1, "th", rate=x.w),
+        ],
+    ) + effect("coulomb_friction")
+    t, noise = np.arange(500) * 0.01, 0.01
+    th = coast(w0, 0.1, 1.5, t) + noise * np.random.default_rng(5).standard_normal(len(t))
+    found = fit(wheel.start(**begin), Experiment("coasts", t, {"u": np.zeros(len(t))}, {"th": th}), noise={"th": noise})
+    oracle = least_squares(
+        lambda z: (coast(z[0], z[1], z[2], t) + z[3] - th) / noise, [w0, 0.1, 1.5, 0.0], x_scale="jac"
+    )
+    assert found.success
+    # Steps of the run leave a millionth of the cost.
+    assert found.solver.cost == pytest.approx(2 * oracle.cost, rel=1e-5)
+    assert found.traces[0].initial_state["w"] == pytest.approx(oracle.x[0], rel=1e-3)

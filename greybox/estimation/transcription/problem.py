@@ -288,7 +288,8 @@ def prepare_problem(
     # A filter finds its states by itself, and a run of a plant from outside has its price.
     if isinstance(model, PlantModel) or model.noisy_states:
         return problem
-    return place_in_play(problem, {name for values in initial for name in values})
+    known = {name for values in initial for name in values}
+    return place_in_play(set_in_motion(problem, known), known)
 
 
 # Share of the rates under the first input below which those without it count as rest.
@@ -439,6 +440,68 @@ def settle(
             " give other start values"
         )
     return replace(beginning, guess=guess, settled=settled)
+
+
+# First rows over which a first velocity is looked for, at least; as many times more each time, until they show one.
+LEAST_MOVING_ROWS = 10
+MORE_MOVING_ROWS = 3
+# Squares over the residual's variance that a first velocity has to save: chance saves as much in one of a thousand records at rest.
+MOTION_GAIN = 10.8
+
+
+def set_in_motion(problem: EstimationProblem, known: Collection[str] = ()) -> EstimationProblem:
+    """``problem`` with a first guess of each velocity with dry friction that no reading tells: that with which the first rows fit best.
+
+    Friction stops a small velocity at once: at a standstill the run has no slope along it, and no search leads away. Without friction it
+    has one, along which a Gauss-Newton step over a few rows tells how the record began. States in ``known`` keep their guess.
+    """
+    system, initial = problem.model.system, problem.variables.initial
+    velocities = [j for j in sorted({d.state for d in system.dry}) if system.state_names[j] not in known]
+    velocities = [j for j in velocities if initial.free[j]]
+    at_rest = (initial.guess[:, velocities] == 0).any(axis=1)
+    if not at_rest.any():
+        return problem
+    smooth = _without_dry_friction(problem)
+    rows, most = LEAST_MOVING_ROWS, max(len(record.samples(record.y)) for record in problem.records)
+    while at_rest.any() and rows < MORE_MOVING_ROWS * most:
+        records = tuple(r.first((min(rows, len(r.samples(r.y))) - 1) * r.rows_per_sample + 1) for r in problem.records)
+        variables = replace(problem.variables, initial=initial)
+        reached = _find_first_states(replace(smooth, records=records, variables=variables))
+        guess = initial.guess.copy()
+        guess[:, velocities] = np.where(guess[:, velocities] == 0, reached[:, velocities], guess[:, velocities])
+        # Judged with friction, by the rows that told it.
+        part, moving = replace(problem, records=records), replace(initial, guess=guess)
+        before, after = (_square_errors(part, replace(variables, initial=each)) for each in (initial, moving))
+        counts = np.array([np.isfinite(record.y).sum() for record in records])
+        moves = at_rest & (before - after > MOTION_GAIN * np.maximum(1.0, after / np.maximum(counts, 1)))
+        initial = replace(initial, guess=np.where(moves[:, None], guess, initial.guess))
+        at_rest, rows = at_rest & ~moves, MORE_MOVING_ROWS * rows
+    return replace(problem, variables=replace(problem.variables, initial=initial))
+
+
+def _without_dry_friction(problem: EstimationProblem) -> EstimationProblem:
+    """``problem`` with the step of the same equations without dry friction."""
+    system, variables = problem.model.system, problem.variables
+    # -level * direction, with every direction at zero.
+    rates = ca.substitute(system.rhs, system.direction, 0 * system.direction)
+    smooth = replace(system, rhs=rates, direction=ca.SX.sym("direction", 0), dry=())
+    lengths = np.unique(np.concatenate([record.lengths for record in problem.records]))
+    policy = problem.policy.discretisation
+    step = discretise(smooth, variables.fixed, variables.initial.guess, lengths, method="automatic", policy=policy)
+    return replace(problem, step=step, kernel=make_kernel(step, variables.which))
+
+
+def _find_first_states(problem: EstimationProblem) -> np.ndarray:
+    """The first state of each record (experiments, nx) to which one Gauss-Newton step leads, with the constants and the noise held."""
+    variables = problem.variables
+    states = variables.split(np.arange(variables.size)).initial_states
+    low, high = variables.bounds()
+    for bound in (low, high):
+        bound[np.setdiff1d(np.arange(variables.size), states)] = 0.0
+    step = problem.shooting().evaluate(variables.here).bounded_step(low, high)
+    initial, first = variables.initial, variables.initial.guess.copy()
+    first[:, initial.free] += initial.scale[initial.free] * step[states]
+    return first
 
 
 # States at either side of play: so many values of one between its ends are tried at a time ...

@@ -109,6 +109,10 @@ def split_at_standstill(system: System, one_step: IntegrationMethod) -> AdvanceF
     ) -> ca.SX:
         """What is left of a step, split at ``events_left`` events at most; ``before`` is what each body did where it begins."""
         motions = [start_motion(body, x, ua, p, event) for body, event in zip(bodies, before, strict=True)]
+        # A small velocity of a held body is stopped at once: v = 0 whatever it is varied by, hence dv/dp = 0 as well.
+        x = ca.SX(x)
+        for body, motion in zip(bodies, motions, strict=True):
+            x[body.state] = ca.if_else(motion.is_stuck, 0, x[body.state])
         end = step_piece(x, ua, ub, p, h, motions)
         # No event is left for a body that crosses zero now: its velocity is cut off at zero, and it is held from the
         # next substep on.
