@@ -85,6 +85,7 @@ from greybox.model.effects.scales import (
     is_neutral,
     list_delays_at_limit,
     list_effect_values,
+    list_neutral_values,
     measure_scales,
 )
 from greybox.model.equations import declare
@@ -237,6 +238,8 @@ def fit(
             begun = with_effects or SimulationOptimum(
                 model, estimate_by_simulation_error(problem, options, colour, report)
             )
+            if with_effects is None and not initial:
+                begun = _search_from_neutral_effects(begun, problem, experiments, options, colour, report)
             optimum = begun
             # Other starts are compared by the steps that the search took: at explicit ones a stiff model runs from few of them.
             if begun.solution.problem.step.adaptive:
@@ -395,6 +398,7 @@ def _begin_with_effects(
     options: FitOptions,
     colour: ColourTreatment | str,
     report: FitProgressCallback | None,
+    fresh: FreshEffects | None = None,
 ) -> SimulationOptimum | None:
     """The best end of searches that begin where the effects of a model begin; None where every effect has values of its own.
 
@@ -402,7 +406,7 @@ def _begin_with_effects(
     shapes that the record can show (those that a discovery begins at). The optimum without them is a start as well: a model with an
     effect more is never worse.
     """
-    fresh = measure_fresh_effects(problem, experiments, options, colour, report)
+    fresh = fresh or measure_fresh_effects(problem, experiments, options, colour, report)
     if fresh is None:
         return None
     model, smaller, scales = problem.model, fresh.plain, fresh.scales
@@ -452,6 +456,36 @@ def _begin_with_effects(
         if ends[-1].status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(ends[-1])):
             break
     return min(ends, key=ratio)
+
+
+def _search_from_neutral_effects(
+    begun: SimulationOptimum,
+    problem: EstimationProblem,
+    experiments: Experiment | Sequence[Experiment],
+    options: FitOptions,
+    colour: ColourTreatment | str,
+    report: FitProgressCallback | None,
+) -> SimulationOptimum:
+    """``begun``, where effects begin at values of their own; or a better end of searches from where they change nothing.
+
+    Those are made where the model without them does as well or better: a model with an effect more is never worse.
+    """
+    model, values = begun.model, list_neutral_values(begun.model)
+    is_over = begun.status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(begun))
+    if is_over or not values:
+        return begun
+    absent = replace(problem, model=model.start(**values))
+    fresh = measure_fresh_effects(absent, experiments, options, colour, report)
+
+    def ratio(end: SimulationOptimum) -> float:
+        return compute_ratio(end.evaluation.cost, end.misfit, problem.noise)
+
+    if fresh is None or ratio(fresh.plain) >= ratio(begun):
+        return begun
+    again = _begin_with_effects(absent, experiments, options, colour, report, fresh)
+    if again is None or ratio(again) >= ratio(begun):
+        return begun
+    return SimulationOptimum(model, again.solution.with_work_of(begun.solution))
 
 
 def _refine_for_constants(

@@ -1,5 +1,6 @@
 """A fit of a model with an effect just added begins where the effect can show, and is never worse than the fit without it."""
 
+import contextlib
 from dataclasses import replace
 
 import casadi as ca
@@ -9,7 +10,9 @@ from scipy.integrate import solve_ivp
 
 import greybox as gb
 from greybox import Balance, Model, Output, Parameter, State
-from greybox.model.effects.scales import is_neutral
+from greybox.base.errors import GreyboxError
+from greybox.model.effects.catalogue import CATALOGUE
+from greybox.model.effects.scales import is_neutral, list_effect_values, measure_scales, within_bounds
 from tests.support.first_order import first_order
 from tests.support.pushed_mass import MASS
 
@@ -96,6 +99,40 @@ def test_an_effect_with_values_of_its_own_begins_there():
     assert is_neutral(model, friction)
     assert not is_neutral(model.start(Fc=0.1), friction)
     assert not is_neutral(model.fix(Fc=0.0), friction)
+
+
+@pytest.mark.parametrize("level", [3.0, 10.0])
+def test_an_effect_that_begins_far_off_is_never_worse_than_none(level, record, plain):
+    found = gb.fit((swing() + gb.effect("coulomb_friction")).start(Fc=level), record)
+    assert found.misfit["q"].rmse <= (1 + 1e-9) * plain.misfit["q"].rmse
+    assert found.parameters["Fc"].value == pytest.approx(FRICTION, abs=4 * found.parameters["Fc"].std)
+
+
+def _list_absent_effects() -> list[str]:
+    """The effects that act on the swing and are exactly absent at amplitudes of zero."""
+    names = []
+    for each in CATALOGUE:
+        with contextlib.suppress(GreyboxError):
+            if is_neutral(swing() + gb.effect(each.name), each) and not each.neutral:
+                names.append(each.name)
+    return names
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [1.0, 30.0])
+@pytest.mark.parametrize("name", _list_absent_effects())
+def test_no_effect_of_the_catalogue_makes_a_model_worse_wherever_it_begins(name, factor, record):
+    # One rule of integration for both, or the cost would differ by its error.
+    options = gb.FitOptions(method="rk4", substeps=4)
+    known = {"q": NOISE}
+    plain = gb.fit(swing(), record, noise=known, options=options)
+    larger = swing() + gb.effect(name)
+    states = np.column_stack([plain.traces[0].simulated["q"], np.gradient(plain.traces[0].simulated["q"], 0.02)])
+    scales = measure_scales(plain.model, states, np.zeros((len(states), 0)), 0.02)
+    (each,) = larger.effects
+    for values in list(list_effect_values(larger, each, scales))[:2]:
+        begun = larger.start(**{n: within_bounds(larger, n, factor * v) for n, v in values.items()})
+        assert gb.fit(begun, record, noise=known, options=options).solver.cost <= (1 + 1e-9) * plain.solver.cost
 
 
 def test_where_no_other_start_is_allowed_the_search_begins_at_the_neutral_value():

@@ -450,3 +450,16 @@ def is_neutral(model: Model, effect: Effect) -> bool:
     amplitudes = [name for name in effect.amplitudes if names[name] in values]
     absent = all(values[names[name]] == effect.neutral.get(name, 0.0) for name in amplitudes)
     return bool(amplitudes) and absent and any(names[name] in free for name in amplitudes)
+
+
+def list_neutral_values(model: Model) -> dict[str, float]:
+    """Constant -> the value at which its effect is absent, of the effects that a fit may take away from where they stand."""
+    values, free = model.values, {q.name for q in model.free_parameters}
+    neutral: dict[str, float] = {}
+    for effect in model.effects:
+        names = model.names_of(effect.name)
+        absent = {names[n]: effect.neutral.get(n, 0.0) for n in effect.amplitudes if names[n] in values}
+        if not is_neutral(model, effect) and set(absent) <= free:
+            neutral |= absent
+    bounds = {q.name: q.bounds for q in model.free_parameters}
+    return neutral if all(bounds[n][0] <= value <= bounds[n][1] for n, value in neutral.items()) else {}
