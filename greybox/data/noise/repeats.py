@@ -282,8 +282,10 @@ def estimate_written_step(columns: Sequence[np.ndarray]) -> float:
     steps = steps[steps > 4 * np.spacing(np.abs(values).max(initial=0.0))]
     if len(steps) < FEWEST_ON_GRID:
         return 0.0
-    if _is_whole(steps / steps.min()):
-        return float(steps.min())
+    # The step as the mean over all of them: one distance alone has the rounding of how two readings were printed.
+    step = steps.sum() / np.round(steps / steps.min()).sum()
+    if _is_whole(steps / step):
+        return float(step)
     written = different[np.abs(different) > np.finfo(float).tiny]  # below it a number loses its digits
     leading = np.floor(np.log10(np.abs(written)))
     for digits in range(1, MOST_DIGITS + 1):

@@ -245,6 +245,15 @@ def test_codes_that_a_motion_runs_past_are_no_step_of_the_sensor(rests, speed):
     assert estimate_resolution([count * np.round(codes)]) == 0.0
 
 
+@pytest.mark.parametrize("decimals", [5, 6, 7])
+def test_counts_of_an_encoder_printed_with_few_digits_are_its_step(decimals):
+    # 2 pi / 2048 rad: no two readings are a whole number of the smallest distance apart once they are rounded for printing.
+    count, rng = 2 * np.pi / 2048, np.random.default_rng(decimals)
+    motion = np.concatenate([np.zeros(300), np.cumsum(60 * (1 + 0.3 * rng.normal(size=300)))])
+    printed = np.round(count * np.round(motion), decimals)
+    assert estimate_written_step([printed]) == pytest.approx(count, rel=1e-4)
+
+
 def test_a_record_without_noise_has_a_ceiling_only():
     u = multisine(np.random.default_rng(6), 0.05)
     bound = bound_of(u, resonance(u))
