@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.base.document import CodeBlock, Details, FigureBlock, Paragraphs, Section
+from greybox.base.document import CodeBlock, Details, FigureBlock, Paragraphs, Section, TableBlock
 from greybox.base.figure import Axis, Curve, Figure, Panel, Role
 from greybox.comparison.compare import compare
 from greybox.estimation.check import check
@@ -132,6 +132,21 @@ def test_long_names_of_many_curves_are_whole_on_paper_and_phones_and_code_stays_
         page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
         assert page.evaluate(whole)
         assert page.evaluate("[...document.querySelectorAll('details:not(.words)')].map(e => e.open)") == [False, True]
+
+
+def test_a_sentence_behind_four_numbers_is_not_read_word_below_word_on_a_phone(tab, good_fit, tmp_path):
+    combination = (
+        "Izz1 + Izz2 + Izz3 + 0.0185 m2 + 0.272 my2 + 0.000261 (m3 + m4) + 0.0323 (my3 + my4) + 0.0119 (m5 + m6)"
+    )
+    table = TableBlock(
+        "Base", ["constant", "estimate", "unit", "described", "remark"], [["Izz1", "0.4", "kg m^2", "0.4", combination]]
+    )
+    document = replace(describe_page(good_fit), evidence=[], sections=[Section("all", "All", [table])])
+    tab.set_viewport_size({"width": 390, "height": 800})
+    with opened(tab, write_page(document, tmp_path / "table.html")) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        # Of lines about 23 pixels high, no more than five.
+        assert page.evaluate("document.querySelector('td:last-child').offsetHeight") < 130
 
 
 @pytest.mark.rest
