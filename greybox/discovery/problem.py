@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -234,8 +234,8 @@ class DiscoveryProblem:
 
     def to_candidate(self, fit: Fit) -> FittedCandidate:
         """A finished fit as it stands, without another search."""
-        problem = self.prepare(fit.model)
-        names = problem.model.system.state_names
+        names = fit.model.system.state_names
+        problem = self.prepare(fit.model, begun=names)
         guess = np.array([[t.initial_state[name] for name in names] for t in fit.traces])
         variables = replace(problem.variables, initial=replace(problem.variables.initial, guess=guess))
         evaluation = problem.shooting(variables).evaluate(variables.here)
@@ -252,18 +252,23 @@ class DiscoveryProblem:
         return _from_solution(self.model, solution, self.given)
 
     def prepare(
-        self, model: Model, experiments: tuple[Experiment, ...] | None = None, most_substeps: int = 0
+        self,
+        model: Model,
+        experiments: tuple[Experiment, ...] | None = None,
+        most_substeps: int = 0,
+        begun: Collection[str] = (),
     ) -> EstimationProblem:
         """The estimation problem of ``model`` on the records (or on others); the noise is that of the baseline.
 
-        A sample has ``most_substeps`` at most (0: as many as the options of the fits allow).
+        A sample has ``most_substeps`` at most (0: as many as the options of the fits allow). Who asks sets the first guess of the states
+        in ``begun``.
         """
         known = self.noise if model is self.model or isinstance(self.noise, NoiseModel) else self._baseline_noise
         options = self.options.integration
         if most_substeps:
             coarse = replace(options.policy.discretisation, max_substeps=most_substeps)
             options = replace(options, policy=replace(options.policy, discretisation=coarse))
-        return prepare_problem(model, experiments or self.experiments, known, options, quiet=self.quiet)
+        return prepare_problem(model, experiments or self.experiments, known, options, quiet=self.quiet, begun=begun)
 
     @cached_property
     def _most_substeps(self) -> int:
@@ -275,11 +280,11 @@ class DiscoveryProblem:
     ) -> tuple[EstimationProblem, list[_Start]]:
         """The estimation problem of a candidate, and those of its starts from which it can be simulated, most promising first."""
         most = self._most_substeps
-        problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
+        problem = _with_initial_states(self.prepare(model, most_substeps=most, begun=beginning), beginning)
         points = _rank_starts(problem, starts, self.refit_options)
         if not points and problem.step.substeps >= most:
             most *= UNSTABLE_FACTOR
-            problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
+            problem = _with_initial_states(self.prepare(model, most_substeps=most, begun=beginning), beginning)
             points = _rank_starts(problem, starts, self.refit_options)
         return problem, points
 
@@ -435,7 +440,7 @@ class DiscoveryProblem:
 
     def restore(self, model: Model, outcome: RefitOutcome) -> FittedCandidate:
         """``model`` where an earlier refit ended."""
-        problem = self.prepare(model.start(**outcome.values))
+        problem = self.prepare(model.start(**outcome.values), begun=model.system.state_names)
         variables = problem.variables.start_at(outcome.values)
         if outcome.substeps not in (0, problem.step.substeps) and not problem.step.per_interval:
             problem = problem.with_substeps(outcome.substeps)

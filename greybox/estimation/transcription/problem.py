@@ -199,12 +199,14 @@ def prepare_problem(
     *,
     quiet: Experiment | Sequence[Experiment] = (),
     initial: Sequence[Mapping[str, float]] = (),
+    begun: Collection[str] = (),
     written_out: bool = False,
 ) -> EstimationProblem:
     """Check model and data against each other and lay out the problem as ``options`` say.
 
     ``noise`` as `greybox.data.noise.noise_sources.estimate_noise` takes it, or a `NoiseModel` that is known from an earlier fit; ``quiet``
-    records tell it (`greybox.data.noise`). ``initial``: the first guess of each record's initial state, see `apply_initial_guess`. An
+    records tell it (`greybox.data.noise`). ``initial``: the first guess of each record's initial state, see `apply_initial_guess`; that of
+    states in ``begun`` is set by whoever asks, and not looked for in the records. An
     output that reads the same in every row, and whose noise is not known, is left out (`EstimationProblem.constant_outputs`).
     ``written_out``: whether a filter will take the step, as that of every model with process noise does.
 
@@ -288,7 +290,7 @@ def prepare_problem(
     # A filter finds its states by itself, and a run of a plant from outside has its price.
     if isinstance(model, PlantModel) or model.noisy_states:
         return problem
-    known = {name for values in initial for name in values}
+    known = {*begun, *(name for values in initial for name in values)}
     return place_in_play(set_in_motion(problem, known), known)
 
 
