@@ -124,8 +124,9 @@ def fit(
     the free parameters and each experiment's initial state, with IPOPT and a Gauss-Newton Hessian. A model with process noise
     (`State`) is fitted by its likelihood through a Kalman filter instead. Priors of parameters (`Model.prior`) are weighed as
     measurements. The parameters start at the values of ``model`` (`Model.start`); where the search from there explains nothing of an
-    output, others are tried by themselves (`FitOptions.other_starts`), and the result says so. Each record's estimated initial state
-    starts at the declared values, or at the first readings of an output that is a state.
+    output, others are tried by themselves (`FitOptions.other_starts`), and the result says so. A model with effects never ends worse than
+    without them: its optimum without is a start as well. Each record's estimated initial state starts at the declared values, or at the
+    first readings of an output that is a state; a velocity with dry friction that is not measured, where its first rows fit best.
 
     Parameters
     ----------
