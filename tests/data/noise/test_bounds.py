@@ -247,9 +247,9 @@ def test_codes_that_a_motion_runs_past_are_no_step_of_the_sensor(rests, speed):
 
 @pytest.mark.parametrize("decimals", [5, 6, 7])
 def test_counts_of_an_encoder_printed_with_few_digits_are_its_step(decimals):
-    # 2 pi / 2048 rad: no two readings are a whole number of the smallest distance apart once they are rounded for printing.
+    # 2 pi / 2048 rad: distances of many counts are no whole numbers of the smallest one once they are rounded for printing.
     count, rng = 2 * np.pi / 2048, np.random.default_rng(decimals)
-    motion = np.concatenate([np.zeros(300), np.cumsum(60 * (1 + 0.3 * rng.normal(size=300)))])
+    motion = np.concatenate([np.zeros(300), np.cumsum(60 * rng.normal(size=900))])
     printed = np.round(count * np.round(motion), decimals)
     assert estimate_written_step([printed]) == pytest.approx(count, rel=1e-4)
 
