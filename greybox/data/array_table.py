@@ -5,17 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from greybox.base import DataError, Finding, shorten
 from greybox.data.columns import (
+    Marks,
     check_size,
     check_width,
     describe_non_numbers,
     describe_wrong_count,
-    find_decimal_signs,
+    find_open_points,
     is_gap,
 )
 from greybox.data.policy import READING_POLICY, ReadingPolicy
@@ -161,9 +163,8 @@ class ArrayTable:
         names = list(dict.fromkeys(column.array for column in wanted.values()))
         check_size(sum(int(np.prod(self.infos[name].shape, dtype=object)) for name in names), 1, self.policy)
         arrays = self.load(names)
-        signs = self.signs.union(
-            *(find_decimal_signs(_list_texts(a)) for a in arrays.values() if not isinstance(a, Stamps))
-        )
+        marks = {name: read_marks(a) for name, a in arrays.items() if not isinstance(a, Stamps)}
+        signs = self.signs.union(*(shown.decimal for shown in marks.values()))
         columns = {
             k: _to_column(column, arrays[column.array], self.row_labels, problems, signs)
             for k, column in wanted.items()
@@ -172,7 +173,9 @@ class ArrayTable:
         if not problems and len(rows) > 1:
             lengths = ", ".join(f"{shorten(self.headers[k])!r} {len(v)}" for k, v in columns.items())
             problems.append(f"columns differ in length ({lengths} rows); each needs one value for each time")
-        return columns, problems, self.findings
+        headers = () if signs else self.headers
+        points = (find_open_points(name, shown, headers) for name, shown in marks.items())
+        return columns, problems, (*self.findings, *chain.from_iterable(points))
 
 
 def _to_column(
@@ -218,6 +221,20 @@ def describe_cells(
 
 # A number as a program writes it into a text.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
+_WHOLE = re.compile(r"\s*[+-]?[0-9]+\s*")
+
+
+def read_marks(cells: Sequence[Any] | np.ndarray) -> Marks:
+    """What the texts and numbers of a column show of their marks."""
+    texts = _list_texts(cells)
+    if not texts:
+        return Marks()
+    plain = [
+        cell for cell in cells if isinstance(cell, (int, float)) or (isinstance(cell, str) and _WHOLE.fullmatch(cell))
+    ]
+    marks = Marks()
+    marks.add(texts, np.array(plain, dtype=np.float64))
+    return marks
 
 
 def _list_texts(cells: Sequence[Any] | np.ndarray) -> list[str]:
@@ -229,11 +246,14 @@ def read_cells(cells: Sequence[Any] | np.ndarray, signs: frozenset[str] = frozen
     """The numbers of a column, also of those that are kept as text: NaN for an empty cell, None for anything else.
 
     The decimal sign is the one that the column shows, else the one of ``signs``, which the rest of the table shows, else a point.
-    Where the rest shows both, a mark that may stand between thousands is refused.
+    Where the rest shows both, a mark that may stand between thousands is refused; so is one that stands there by what the column shows.
     """
-    of_column = find_decimal_signs(_list_texts(cells))
+    marks = read_marks(cells)
+    of_column = frozenset(marks.decimal)
     # Where a column shows both, its commas are what is to be corrected.
     decimal = (of_column if len(of_column) < 2 else frozenset(".")) or signs or frozenset(".")
+    if not of_column and not signs and marks.are_thousands("."):
+        decimal = frozenset()
 
     def read(cell: Any) -> float | None:
         if cell is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -11,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from greybox.base import Finding
+from greybox.base import Finding, Severity
 from greybox.base.errors import DataError, ModelError, is_slip_of, nearest, shorten
 from greybox.base.texts import to_word
 from greybox.base.units import Conversion, unit_converter
@@ -30,13 +31,87 @@ DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([,.' ]\d{3})+([.,]\d+)?")
 # A number with one mark that may be a decimal sign: 1.5, ,5, 1,250, 12.e3.
 _MARKED = re.compile(r"[+-]?(?=[.,]?\d)\d*([.,])\d*(e[+-]?\d+)?", re.IGNORECASE)
+# Whole numbers from here on have a mark between thousands wherever others of the column have.
+THOUSAND = 1000
 WITHOUT_MARKS = "the number without marks between its thousands"
+# What German, French, Spanish, Italian and Dutch tables, which write a decimal comma, call their columns.
+_COMMA_WORDS = (
+    *(
+        "zeit",
+        "druck",
+        "kraft",
+        "weg",
+        "strom",
+        "spannung",
+        "drehzahl",
+        "temperatur",
+        "leistung",
+        "durchfluss",
+        "drehmoment",
+    ),
+    *("winkel", "strecke", "masse", "gewicht", "dichte", "wert", "feuchte", "menge", "pression", "courant", "vitesse"),
+    *(
+        "puissance",
+        "tiempo",
+        "presion",
+        "fuerza",
+        "corriente",
+        "pressione",
+        "forza",
+        "corrente",
+        "coppia",
+        "tijd",
+        "kracht",
+        "stroom",
+    ),
+)
+
+
+class Marks:
+    """What a column shows of the marks in its numbers: those that are a decimal sign, and those that may stand between thousands."""
+
+    def __init__(self, texts: Iterable[str] = ()) -> None:
+        self.decimal, self.between = set[str](), dict[str, str]()
+        self.short: float | None = None
+        self.is_long = False
+        self.add(texts, np.zeros(0))
+
+    def add(self, texts: Iterable[str], numbers: np.ndarray) -> None:
+        """Further fields: texts, and those without a mark as ``numbers`` (N,)."""
+        for text in map(str.strip, texts):
+            if not (mark := _MARKED.fullmatch(text)):
+                continue
+            if THOUSANDS.fullmatch(text):
+                self.between.setdefault(mark[1], text)
+            else:
+                self.decimal.add(mark[1])
+        whole = numbers[np.isfinite(numbers) & (numbers == np.round(numbers))]
+        short = whole[np.abs(whole) < THOUSAND]
+        self.is_long = self.is_long or len(short) < len(whole)
+        if self.short is None and len(short):
+            self.short = float(short[0])
+
+    def are_thousands(self, sign: str) -> bool:
+        """Whether the column alone shows that ``sign`` stands between its thousands."""
+        # Three decimals would be written of whole numbers, too, or the zeros at the end of others left out.
+        is_open = sign in self.between and sign not in self.decimal
+        return is_open and self.short is not None and not self.is_long
 
 
 def find_decimal_signs(texts: Iterable[str]) -> frozenset[str]:
     """The decimal signs, comma or point, that the fields of a table show: marks that cannot stand between thousands."""
-    marks = ((_MARKED.fullmatch(text.strip()), text.strip()) for text in texts)
-    return frozenset(mark[1] for mark, text in marks if mark and not THOUSANDS.fullmatch(text))
+    return frozenset(Marks(texts).decimal)
+
+
+def find_open_points(header: str, marks: Marks, headers: Iterable[str]) -> list[Finding]:
+    """A column whose every number may have points between thousands, in a table whose words are of a language with a decimal comma."""
+    if "." not in marks.between or marks.decimal or marks.is_long or marks.short is not None:
+        return []
+    letters = (unicodedata.normalize("NFKD", parse_header(h, 0).name.lower()) for h in headers)
+    words = [word for text in letters for word in re.findall(r"[a-z]+", text.encode("ascii", "ignore").decode())]
+    about = {"text": marks.between["."]}
+    is_foreign = any(word.endswith(_COMMA_WORDS) for word in words)
+    return [Finding(RecordCode.POINTS_OPEN, Severity.WARNING, header, about)] if is_foreign else []
 
 
 TableColumn = np.ndarray | Stamps
@@ -241,6 +316,20 @@ class ColumnMatch:
         return replace(
             self, columns={**self.columns, signal: stamped}, conversions={**self.conversions, signal: conversion}
         )
+
+    def ask_points(self, findings: Iterable[Finding]) -> list[str]:
+        """Questions to columns whose points may stand between thousands, unless their unit is told."""
+        texts = {f.subject: f.values["text"] for f in findings if f.code is RecordCode.POINTS_OPEN}
+        questions = []
+        for signal, column in self.columns.items():
+            if column.header in texts and column.known is not UnitSource.TOLD:
+                unit = column.unit or signal.unit or "1"
+                both = (_explain_mapping(signal, replace(column, unit=u)) for u in (f"1000 {unit}", unit))
+                questions.append(
+                    f"column {shorten(column.header)!r}: has {texts[column.header]!r} a point between thousands? {next(both)}; if it is a"
+                    f" decimal point, {next(both)}"
+                )
+        return questions
 
     def describe_units(self) -> list[list[str]]:
         """Header, unit and reason of each column whose unit was read otherwise than it is written."""

@@ -47,6 +47,7 @@ class RecordCode(StrEnum):
     NO_TIME = "no_time"
     TIME_UNUSABLE = "time_unusable"
     COLUMN_WITH_TEXT = "column_with_text"
+    POINTS_OPEN = "points_open"
     BROUGHT_TO_ONE_TIME = "brought_to_one_time"
     CLOCK_OFFSET = "clock_offset"
     CLOCK_OFFSET_BY_RECORDER = "clock_offset_by_recorder"

@@ -344,6 +344,8 @@ def read_arrays(
     findings = (*findings, *(f for f in said_before if f.subject.removeprefix("before ") not in before))
     before = {**stated, **before}
     match = match.with_stamps(raw, problems)
+    problems += match.ask_points(findings)
+    findings = tuple(f for f in findings if f.code is not RecordCode.POINTS_OPEN)
     for signal, column in match.columns.items():
         # Each column is let go of as it is converted: a long record is in memory once.
         if column.position in held.stamps:

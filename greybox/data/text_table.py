@@ -12,19 +12,23 @@ from array import array
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from greybox.base import DataError, shorten
+from greybox.base import DataError, Finding, shorten
 from greybox.data.columns import (
     GAPS,
+    WITHOUT_MARKS,
+    Marks,
     check_size,
     check_width,
     describe_non_numbers,
     describe_wrong_count,
     find_decimal_signs,
+    find_open_points,
     is_gap,
 )
 from greybox.data.headers import join_units
@@ -46,8 +50,18 @@ _BLANK_FIELD = re.compile(r"\"[^\"]*\"|\S+")
 _SPREADSHEET_ERROR = re.compile(r"#(N/A|NV|[^\W\d_]+(/0)?[!?])(?=[,;\t]|\s+[-+.\d#]|\s*$)")
 _WIDE_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
-# Columns; row -> its fields where they are not as many as the headers; column -> row -> text that is no number.
-Reading = tuple[dict[int, np.ndarray | Stamps], dict[int, list[str]], dict[int, dict[int, str]]]
+
+class Reading(NamedTuple):
+    """What a table holds where ``decimal`` is the decimal sign."""
+
+    decimal: str
+    columns: dict[int, np.ndarray | Stamps]
+    ragged: dict[int, list[str]]
+    """Row -> its fields, where they are not as many as the headers."""
+    bad: dict[int, dict[int, str]]
+    """Column -> row -> text that is no number."""
+    marks: dict[int, Marks]
+    """What the columns show of their marks, where no row before showed the decimal sign."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +84,7 @@ class TextTable:
 
     ``comments``: the lines that begin with ``#`` or ``%``. ``headless``: the file has no header, and the headers are the numbers of
     the columns. ``skipped``: lines of the table before the first row of numbers, of which the last is the header where ``has_header_line``.
-    ``dated``: as of `DataTable`, by the first row.
+    ``dated``: as of `DataTable`, by the first row. ``signs``: decimal signs that the first rows show.
     """
 
     source: TextSource
@@ -84,6 +98,7 @@ class TextTable:
     has_header_line: bool = False
     has_comma: bool = False
     has_point: bool = True
+    signs: frozenset[str] = frozenset()
     dated: Mapping[int, bool] = field(default_factory=dict)
     policy: ReadingPolicy = field(default=READING_POLICY, repr=False)
 
@@ -110,18 +125,28 @@ class TextTable:
         labels = RowLabels(self.row_labels.word, np.concatenate([[self.header_line], numbers]))
         return replace(named, skipped=self.skipped - 1, row_labels=labels)
 
-    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray | Stamps], list[str]]:
-        """Columns (N,) as float64 with NaN for gaps, or as stamps, and the problems met."""
+    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray | Stamps], list[str], tuple[Finding, ...]]:
+        """Columns (N,) as float64 with NaN for gaps, or as stamps, the problems met, and what is to be said of the columns."""
         positions = list(dict.fromkeys(positions))
         check_size(self.rows, len(positions), self.policy)
-        first, *others = (self._read(positions, decimal) for decimal in self._decimals())
-        columns, ragged, bad = min([first, *others], key=lambda reading: sum(map(len, reading[2].values())))
+        readings = (self._read(positions, decimal) for decimal in self._decimals())
+        decimal, columns, ragged, bad, marks = min(readings, key=lambda reading: sum(map(len, reading.bad.values())))
         if ragged:
-            return {k: np.zeros(0) for k in positions}, [self._describe_ragged(ragged)]
+            return {k: np.zeros(0) for k in positions}, [self._describe_ragged(ragged)], ()
         wrong = ((self.headers[k], list(texts), list(texts.values())) for k, texts in bad.items() if texts)
-        return columns, [
+        problems = [
             describe_non_numbers(header, rows, texts, self.row_labels, self.separator) for header, rows, texts in wrong
         ]
+        if any(decimal in shown.decimal for shown in marks.values()):
+            return columns, problems, ()
+        problems += [
+            f"column {shorten(self.headers[k])!r}: {shown.between[decimal]!r} beside '{shown.short:g}'; write {WITHOUT_MARKS}, or as many"
+            " decimals in every row"
+            for k, shown in marks.items()
+            if shown.are_thousands(decimal) and not bad[k]
+        ]
+        points = (find_open_points(self.headers[k], shown, self.headers) for k, shown in marks.items())
+        return columns, problems, tuple(chain.from_iterable(points))
 
     def _decimals(self) -> tuple[str, ...]:
         """Decimal signs worth trying: a comma can be one wherever it does not separate columns."""
@@ -134,6 +159,7 @@ class TextTable:
         stamps = {k: StampReader(GAPS) for k in positions if k in self.dated}
         ragged: dict[int, list[str]] = {}
         bad: dict[int, dict[int, str]] = {k: {} for k in positions}
+        marks = {} if decimal in self.signs else {k: Marks() for k in columns}
         lines, start = islice(filter(_is_of_table, self.source.read_lines()), self.skipped, None), 0
         while block := list(islice(lines, self.policy.rows_per_chunk)):
             if start + len(block) > self.rows:
@@ -146,11 +172,15 @@ class TextTable:
                     wrong = stamps[k].add(texts)
                 else:
                     columns[k][start : start + len(block)], wrong = _to_numbers(texts, decimal)
+                if k in marks:
+                    is_marked = np.array(["." in text or "," in text for text in texts])
+                    marks[k].add(texts if is_marked.any() else (), columns[k][start : start + len(block)][~is_marked])
                 bad[k] |= {start + row: rows[row][k] for row in wrong}
             start += len(block)
         if start != self.rows:
             raise DataError(f"{self.source.path.name}: the file changed while it was read; read it again")
-        return {**columns, **({} if ragged else {k: reader.finish() for k, reader in stamps.items()})}, ragged, bad
+        dated = {} if ragged else {k: reader.finish() for k, reader in stamps.items()}
+        return Reading(decimal, {**columns, **dated}, ragged, bad, marks)
 
     def _describe_ragged(self, ragged: dict[int, list[str]]) -> str:
         """Message for lines with more or fewer fields than the header; ``ragged`` is row -> fields."""
@@ -252,6 +282,7 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
         has_header_line,
         has_comma,
         has_point,
+        signs,
         dated,
         policy,
     )

@@ -353,6 +353,13 @@ DECIMAL_SIGNS = {
     "decimal commas": (("0,5", "1,25", "0,1"), ("1,5", "-0,75", "0,2"), [1.25, -0.75]),
     "decimal points": (("0.5", "1.250", "0.1"), ("1.5", "1.251", "0.2"), [1.25, 1.251]),
     "points alone": (("0", "1.250", "1"), ("1", "1.251", "2"), [1.25, 1.251]),
+    "points in the longer numbers": (("0", "980", "1"), ("1", "13.400", "2"), "write {w}"),
+    "points in negative numbers": (("0", "-13.400", "1"), ("1", "-980", "2"), "write {w}"),
+    "points beside a zero": (("0", "0", "1"), ("1", "1.250", "2"), "write {w}"),
+    "commas in the longer numbers": (("0", "980", "1"), ("1", "13,400", "2"), "{w}"),
+    "points beside longer numbers": (("0", "1980", "1"), ("1", "13.400", "2"), [1980.0, 13.4]),
+    "zeros left out": (("0", "980", "1"), ("1", "13.4", "2"), [980.0, 13.4]),
+    "zeros left out of others": (("0.5", "980", "1"), ("1", "13.401", "2"), [980.0, 13.401]),
     "three decimals below one": (("0,5", "0,125", "0,1"), ("1,5", "0,250", "0,2"), [0.125, 0.25]),
     "three decimals beside others": (("0,5", "1,125", "0,1"), ("1,5", "2,250", "0,2"), [1.125, 2.25]),
 }
@@ -384,6 +391,47 @@ def test_texts_of_a_workbook_have_the_decimal_sign_of_the_table_as_those_of_csv(
     # Looked at without a model, the column is not passed over, nor shown with wrong numbers.
     notes = " ".join(map(str, survey_file(path).findings))
     assert (reason in notes) == (not isinstance(read, list) and "{w}" in read)
+
+
+@pytest.mark.parametrize("kind", ["xlsx", "csv", "frame"])
+@pytest.mark.parametrize(
+    "headers",
+    [("Zeit [s]", "Druck [mbar]"), ("t [s]", "Raumlufttemperatur [mbar]"), ("t [s]", "Pression d'huile [mbar]")],
+)
+def test_points_in_a_table_of_another_language_are_asked_about(tmp_path, kind, headers):
+    table = [headers, ("0", "1.250"), ("1", "13.400"), ("2", "9.810")]
+    if kind == "frame":
+        pandas = pytest.importorskip("pandas")
+        path = tmp_path / "run.parquet"
+        source = pandas.DataFrame(table[1:], columns=list(headers))
+    elif kind == "csv":
+        source = path = tmp_path / "run.csv"
+        path.write_text("\n".join(map(";".join, table)), encoding="utf-8")
+    else:
+        book = pytest.importorskip("openpyxl").Workbook()
+        for row in table:
+            book.active.append(row)
+        source = path = tmp_path / "run.xlsx"
+        book.save(path)
+    model = Model(
+        "vessel",
+        states=[State("p", "Pa", 1e5)],
+        inputs=[],
+        outputs=[Output("p", "Pa")],
+        parameters=[Parameter("tau", "s", 1.0, (1e-3, 1e3))],
+        balances=lambda x, u, p: [Balance("b", "Pa", p.tau, "p", decay=-x.p)],
+    )
+    names = {"time [s]": headers[0], "p": headers[1]}
+    with pytest.raises(DataError, match="a point between thousands") as asked:
+        read_csv(source, model, columns=names)
+    assert f"'p [1000*mbar]': \"{headers[1]}\"" in str(asked.value) or f"'p [1000*mbar]': {headers[1]!r}" in str(
+        asked.value
+    )
+    for unit, scale in (("1000*mbar", 1e5), ("mbar", 1e2)):
+        told = read_csv(source, model, columns={"time [s]": headers[0], f"p [{unit}]": headers[1]})
+        np.testing.assert_allclose(told.outputs["p"], scale * np.array([1.25, 13.4, 9.81]))
+    if kind != "frame":
+        assert "may stand between thousands" in " ".join(map(str, survey_file(path).findings))
 
 
 @pytest.mark.parametrize("header", ["frame", "Sample", "index", "Frame No", "n", "idx", "step_nr"])

@@ -19,7 +19,7 @@ def test_the_first_row_of_a_log_with_labels_is_a_row(tmp_path, lines, names):
     file.write_text("\n".join([*lines, lines[-1]]) + "\n")
     table = read_text(file)
     assert table.rows == 3 and [h for h in table.headers if not h.startswith("column")] == names
-    columns, problems = table.values([table.headers.index(names[0])])
+    columns, problems, _ = table.values([table.headers.index(names[0])])
     assert not problems and np.isfinite(next(iter(columns.values()))).all()
 
 

@@ -284,13 +284,13 @@ def test_a_file_of_many_chunks_is_read_whole_and_its_late_lines_are_named(tmp_pa
     def read(path):
         return read_text(path, ReadingPolicy(rows_per_chunk=7)).values(range(4))
 
-    columns, problems = read(good(tmp_path / "run.csv"))
+    columns, problems, _ = read(good(tmp_path / "run.csv"))
     for values, expected in zip(columns.values(), (TIME, DRIVE, ANSWER, CURRENT), strict=True):
         np.testing.assert_array_equal(values, expected)
     assert not problems
-    _, (problem,) = read(edited(tmp_path / "run.csv", {3: "0.1,a,0,0", 25: "2.3,b,0,0"}))
+    _, (problem,), _ = read(edited(tmp_path / "run.csv", {3: "0.1,a,0,0", 25: "2.3,b,0,0"}))
     assert "column 'u [V]', lines 3, 25: 'a', 'b'" in problem
-    _, (problem,) = read(edited(tmp_path / "run.csv", {3: "0.1,0", 25: "2.3,0,0"}))
+    _, (problem,), _ = read(edited(tmp_path / "run.csv", {3: "0.1,0", 25: "2.3,0,0"}))
     assert "lines 3, 25 have another number of fields (2 in the first of them)" in problem
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from greybox.base import DataError, Finding, Severity
-from greybox.data.array_table import ArrayInfo, ArrayTable, describe_cells, read_cells
+from greybox.data.array_table import ArrayInfo, ArrayTable, describe_cells, read_cells, read_marks
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import (
     THOUSANDS,
@@ -21,6 +21,7 @@ from greybox.data.columns import (
     check_width,
     find_dated_time,
     find_decimal_signs,
+    find_open_points,
     raise_limit,
 )
 from greybox.data.file_kinds import FileFormat
@@ -236,6 +237,8 @@ def _read_block(
     values = {"row": count + 1, "rows": left}
     findings = (Finding(RecordCode.ROWS_BELOW_TABLE, Severity.WARNING, title, values),) if left else ()
     signs = find_decimal_signs(cell for column in cells.values() for cell in column if isinstance(cell, str))
+    marks = {} if signs else {named[k]: read_marks(column) for k, column in cells.items()}
+    findings += tuple(f for header, shown in marks.items() for f in find_open_points(header, shown, named.values()))
     columns: dict[str, np.ndarray | Stamps] = {}
     for k, column in cells.items():
         numbers, header = _to_column(column, signs), parse_header(named[k], k)

@@ -205,6 +205,7 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.RESAMPLED: "resampled to every {sampling_time:.6g} s from {rows} rows",
     RecordCode.NO_TIME: "no column is called time or t: name it (--column time=HEADER), or give the step (--sampling-time SECONDS)",
     RecordCode.COLUMN_WITH_TEXT: "{subject}: {count} of {rows} fields are numbers and the others are refused: {reason}",
+    RecordCode.POINTS_OPEN: "{subject}: the points of {text} may stand between thousands, which a fit asks",
     RecordCode.TIME_UNUSABLE: lambda f: f"{f.subject + ': ' if f.subject else ''}{f.values['reason']}",
     RecordCode.BROUGHT_TO_ONE_TIME: _brought_to_one_time,
     RecordCode.CLOCK_OFFSET: _clock_offset,
