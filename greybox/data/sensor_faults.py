@@ -255,6 +255,10 @@ UNTOUCHED_SHARE, NORMAL_REACH = 0.7, 1.89
 EVEN_SPREAD = 0.4
 
 
+# Share of its height by which a stray misses the line through the two rows before it, or behind it; a corner lies on both.
+CORNER_SHARE = 0.5
+
+
 def find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray]) -> np.ndarray:
     """Rows in which an output lies by far more beside its neighbours than it ever does.
 
@@ -303,7 +307,10 @@ def is_first_off(values: np.ndarray) -> bool:
 
 
 def _measure_offset(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far each value (N,) lies from the middle of its neighbours; and beyond both, where they are close together, else 0."""
+    """How far each value (N,) lies from the middle of its neighbours; and beyond both, where they are close together, else 0.
+
+    The corner of a curve, where a heater is switched, lies on the lines that lead to it: beyond its neighbours, and no stray.
+    """
     offset, beyond = np.zeros(len(values)), np.zeros(len(values))
     for first in range(1, len(values) - 1, ROWS_AT_A_TIME):
         rows = slice(first, min(first + ROWS_AT_A_TIME, len(values) - 1))
@@ -313,7 +320,16 @@ def _measure_offset(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         offset[rows] = np.abs(before + after) / 2
         # Above both neighbours or below both, and these are closer to each other than to it.
         alone = (before * after > 0) & (np.abs(before - after) <= offset[rows])
-        beyond[rows][alone] = np.minimum(np.abs(before), np.abs(after))[alone]
+        height = np.minimum(np.abs(before), np.abs(after))
+        is_corner = np.ones(len(middle), bool)
+        # y - (2 y_1 - y_2) from either side, where two values stand there.
+        for side, ahead in ((-1, before), (1, after)):
+            second = np.arange(rows.start, rows.stop) + 2 * side
+            nearer = values[rows.start + side : rows.stop + side]
+            line = np.abs(ahead + values[np.clip(second, 0, len(values) - 1)] - nearer)
+            is_corner &= (second >= 0) & (second < len(values)) & (line <= CORNER_SHARE * height)
+        alone &= ~is_corner
+        beyond[rows][alone] = height[alone]
     return offset, beyond
 
 

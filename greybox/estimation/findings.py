@@ -46,6 +46,7 @@ class EstimationCode(StrEnum):
     STATES_DIVERGE = "states_diverge"
     SENSITIVITY_NOT_FINITE = "sensitivity_not_finite"
     PLANT_RUN_FAILED = "plant_run_failed"
+    CONSTANT_BY_RECORD = "constant_by_record"
     # How an input moves between rows, by what it does to the constants and to the residual.
     INPUT_COURSE_CONTRADICTED = "input_course_contradicted"
     INPUT_COURSE_OPEN = "input_course_open"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import reduce
@@ -262,6 +262,7 @@ def fit(
     if isinstance(optimum, SimulationOptimum) and options.exchange:
         exchange = find_exchange(optimum, options)
     result = exchange.complete(assemble_fit(exchange.optimum, options)) if exchange else assemble_fit(optimum, options)
+    notices = (*_list_constants_by_record(model, result.model), *notices)
     if starts or notices:
         result = replace(result, starts=starts, findings=(*notices, *result.findings))
     if longer := _lengthen_delays(model, result, period, experiments, options):
@@ -391,6 +392,14 @@ def measure_fresh_effects(
     record = optimum.problem.records[0]
     scales = measure_scales(optimum.fitted_model, states, record.u, float(np.median(record.h)))
     return FreshEffects(fresh, optimum, scales)
+
+
+def _list_constants_by_record(model: Model, fitted: Model) -> Iterator[Finding]:
+    """Known constants of effects that have the value which the record shows in the place of the catalogue's."""
+    for q in model.all_parameters:
+        if q.fixed and (value := fitted.values.get(q.name, q.value)) != q.value:
+            values = {"value": value, "stated": q.value, "unit": q.unit}
+            yield Finding(EstimationCode.CONSTANT_BY_RECORD, subject=q.name, values=values)
 
 
 def _begin_with_effects(

@@ -28,6 +28,8 @@ Transform = Callable[[Expression, NamedValues, NamedValues, NamedValues], Expres
 
 ABSENT = "amplitude, absent until fitted"
 ROUGH = "rough, until the data say better"
+# Sources of values that nobody has told.
+GUESSES = frozenset((ABSENT, ROUGH))
 
 
 def amplitude_parameter(

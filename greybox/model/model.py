@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.base import ModelError, Printable, nearest
 from greybox.model import balance, build_system, validation
-from greybox.model.effect import Effect
+from greybox.model.effect import GUESSES, Effect
 from greybox.model.parts import check_parts
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
 from greybox.model.sites import STORE, Site
@@ -357,6 +357,9 @@ class Model(Printable):
         """
         changes: dict[str, dict] = {n: {"fixed": True} for n in names}
         changes |= {n: {"fixed": True, "value": v} for n, v in values.items()}
+        for name, change in changes.items():
+            # What somebody knows is no guess of the catalogue's any more, which a record may still move.
+            change |= {"source": ""} if name in self.values and self.parameter(name).source in GUESSES else {}
         return self._with_changes(changes)
 
     def free(self, *names: str) -> Model:

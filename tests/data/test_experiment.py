@@ -580,3 +580,21 @@ def test_a_data_frame_is_no_record_and_is_told_how_to_become_one() -> None:
     for records in (frame, [frame]):
         with pytest.raises(DataError, match=r"gb\.read_csv\(table, model\)"):
             arx(records, na=1, nb=1, output="x")
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize("step", [0.0, 0.01])
+@pytest.mark.parametrize("every", [5, 20, 60])
+def test_the_corner_of_a_curve_is_no_spike(every, step, noise):
+    """A heater is switched off: the temperature turns within one row, and lies on the lines before and behind it."""
+    time = np.arange(0.0, 3600.0, every)
+    power = (time >= 600) & (time < 3000)
+    warm, cool = 1 - np.exp(-(time - 600) / 3000), np.exp(-(time - 3000) / 3000) * (1 - np.exp(-0.8))
+    curve = 50 * np.where(time < 600, 0.0, np.where(time < 3000, warm, cool))
+    curve += np.random.default_rng(4).normal(0, noise, len(time))
+    curve = np.round(curve / step) * step if step else curve
+    assert RecordCode.SENSOR_SPIKES not in {f.code for f in findings_of(time, power * 1.0, curve)}
+    curve[300 // every] += 3.0
+    curve[2000 // every] -= 2.0
+    (spikes,) = (f for f in findings_of(time, power * 1.0, curve) if f.code == RecordCode.SENSOR_SPIKES)
+    assert spikes.values["count"] == 2

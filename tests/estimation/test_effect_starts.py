@@ -178,3 +178,76 @@ def test_a_sharp_resonance_is_found_from_all_of_its_starts():
     assert found.misfit["x"].noise_ratio == pytest.approx(1.0, abs=0.05)
     for name, truth in {"M": 0.62, "m2": 0.08, "k2": 1500.0, "c2": 0.8}.items():
         assert found.parameters[name].value == pytest.approx(truth, rel=0.02), name
+
+
+ZERO_CELSIUS = 273.15
+COOL, RADIATION, CONVECTION = 0.3, 8e-9, 0.02
+
+
+def oven() -> Model:
+    """A heated body, whose temperature a record may state in kelvin or, without saying so, in degrees Celsius."""
+    return Model(
+        "oven",
+        states=[State("T", "K", 293.15)],
+        inputs=[gb.Input("P", "W"), gb.Input("Ta", "K")],
+        outputs=[Output("T", "K")],
+        parameters=[Parameter("C", "J/K", 500.0, (1, 1e6)), Parameter("h", "W/K", 0.5, (1e-3, 1e3))],
+        balances=lambda x, u, p: [Balance("heat", "W", p.C, "T", heater=u.P, loss=-p.h * (x.T - u.Ta))],
+    )
+
+
+def heated(zero: float, power: float = 150.0) -> gb.Experiment:
+    """Measured on a scale that begins at ``zero`` (K), by SciPy."""
+    time = 10.0 * np.arange(400)
+    drive = np.where(time // 600 % 2 == 0, power, 0.0)
+
+    def rate(t, T):
+        return (drive[int(t // 10)] - COOL * (T - 293.15) - RADIATION * (T**4 - 293.15**4)) / 400.0
+
+    T = [293.15]
+    for k in range(len(time) - 1):
+        step = solve_ivp(rate, (time[k], time[k] + 10 - 1e-9), [T[-1]], rtol=1e-9, atol=1e-9)
+        T.append(step.y[0, -1])
+    reading = np.array(T) - zero + np.random.default_rng(1).normal(0, 0.05, len(T))
+    inputs = {"P": drive, "Ta": np.full(len(T), 293.15 - zero)}
+    return gb.Experiment.from_arrays(time, inputs, {"T": reading}, name="oven", hold="zero")
+
+
+@pytest.mark.parametrize(
+    ("effect", "known"),
+    [
+        ("radiation_loss", {"T0": 0.0}),
+        ("radiation_loss", {"T0": 100.0}),
+        ("heat_storage", {"tau_g": 123.0}),
+        ("natural_convection", {"least": 7.0}),
+        ("radiation_loss", {"kr": 2e-9}),
+    ],
+)
+def test_a_constant_that_somebody_fixed_stays_where_no_record_would_put_it(effect, known):
+    record = heated(ZERO_CELSIUS)
+    fitted = gb.fit((oven() + gb.effect(effect)).fix(**known), record)
+    assert {name: fitted.model.values[name] for name in known} == known
+    assert not [f for f in fitted.findings if f.code == "constant_by_record"]
+
+
+@pytest.mark.parametrize(("zero", "power"), [(0.0, 150.0), (ZERO_CELSIUS, 150.0), (ZERO_CELSIUS, 1200.0)])
+def test_the_zero_of_a_temperature_scale_is_told_by_its_coldest_readings_and_said(zero, power):
+    fitted = gb.fit(oven() + gb.effect("radiation_loss"), heated(zero, power))
+    assert fitted.model.values["T0"] == zero
+    assert fitted.parameters["kr"].value == pytest.approx(RADIATION, rel=0.01)
+    said = [str(f) for f in fitted.findings if f.code == "constant_by_record"]
+    assert said == (
+        []
+        if not zero
+        else ["T0 is taken as 273.15 K by what the record shows; fix it (--fix T0=VALUE) where you know it"]
+    )
+    # What a fit has found is the model's own: another record moves it no more.
+    again = gb.fit(fitted.model, heated(zero, 80.0))
+    assert again.model.values["T0"] == zero and not [f for f in again.findings if f.code == "constant_by_record"]
+
+
+def test_a_model_in_kelvin_whose_radiation_is_known_is_simulated_in_kelvin():
+    record = heated(0.0)
+    known = (oven() + gb.effect("radiation_loss")).start(C=400.0, h=COOL, kr=RADIATION)
+    run = gb.simulate(known, {"time": record.time, **record.inputs})
+    assert np.abs(run.outputs["T"] - record.outputs["T"]).max() < 0.3

@@ -11,8 +11,9 @@ import numpy as np
 
 from greybox.base import INTEGRATING_POLE, DataError
 from greybox.model.balance import eliminate
-from greybox.model.effect import Effect
+from greybox.model.effect import GUESSES, Effect
 from greybox.model.model import Model
+from greybox.model.signals import Parameter
 from greybox.model.sites import PlaceKind, Site, find_sites
 
 # Bounds of a delay (s) before a record says how it is sampled.
@@ -86,6 +87,8 @@ class Scales:
         Between which the displacement lies.
     store
         Peak of the first pressure or level.
+    floors
+        What every state that has a role stays above in size but for a twentieth of the rows, by role.
     pitch
         Distance along a displacement after which what the plain model leaves repeats; 0 where it does not, or where nobody looked.
     sites
@@ -109,6 +112,7 @@ class Scales:
     lowest: float = 0.0
     highest: float = 0.0
     store: float = 0.0
+    floors: Mapping[str, float] = field(default_factory=dict)
     pitch: float = 0.0
     sites: Mapping[str, SiteScales] = field(default_factory=dict)
 
@@ -139,6 +143,8 @@ class Scales:
         return VISIBLE_SHARE * self.force
 
 
+# Share of the rows in which a state may lie below its floor: it may begin anywhere.
+FLOOR_SHARE = 0.05
 # Rows of a record that the scales are taken from, evenly spread.
 STARTING_ROWS = 5000
 
@@ -180,9 +186,11 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
     columns |= {i.name: u[:, k] for k, i in enumerate(model.inputs)}
     for a in system.algebraic:
         columns[a.state.name] = np.asarray(ca.Function("value", arguments, [a.value])(x.T, u.T, p)).ravel()
-    peaks = {state.role: _peak(columns[state.name]) for state in reversed(model.all_states) if state.role}
+    of_role = {state.role: columns[state.name] for state in reversed(model.all_states) if state.role}
     for site in model.sites:  # roles that units tell
-        peaks = {role: _peak(columns[name]) for role, name in site.states.items() if name} | peaks
+        of_role = {role: columns[name] for role, name in site.states.items() if name} | of_role
+    peaks = {role: _peak(values) for role, values in of_role.items()}
+    floors = {role: float(np.quantile(np.abs(values), FLOOR_SHARE)) for role, values in of_role.items()}
     rows = {b.name: ca.vertcat(*b.terms.values()) for b in system.balances}
     rows |= {
         a.balance.name: eliminate(ca.vertcat(*a.balance.terms.values()), system.algebraic) for a in system.algebraic
@@ -227,6 +235,7 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
         lowest=body.lowest,
         highest=body.highest,
         store=stores[0] if stores else 0.0,
+        floors=floors,
         sites=sites,
     )
 
@@ -255,6 +264,11 @@ def _measure_site(
         highest=float(displacement.max(initial=0.0)),
         store=_peak(seen["store"]) if "store" in seen else 0.0,
     )
+
+
+def is_told(parameter: Parameter) -> bool:
+    """Whether a person has fixed a constant of an effect, whose value no record changes; what the catalogue fixes is a guess."""
+    return parameter.fixed and parameter.source not in GUESSES
 
 
 # How far the bounds of a shape parameter reach beyond its start values, as a factor either way.
@@ -286,7 +300,7 @@ def tailor_to_record(entry: Effect, scales: Scales) -> Effect:
         low, high = q.bounds
         value = q.value
         values = sorted(grid[q.name]) if q.name in grid and q.name not in entry.amplitudes else []
-        if values:
+        if values and not is_told(q):
             value = values[len(values) // 2]
         if q.name in limits:
             low, high = limits[q.name]
@@ -406,13 +420,14 @@ def list_effect_values(
     Yields
     ------
     dict
-        Constant, by its name in the model -> value in its unit, within its bounds.
+        Constant, by its name in the model -> value in its unit, within its bounds; none that somebody has fixed.
     """
-    names = model.names_of(effect.name)
+    known = model.names_of(effect.name)
+    names = {q.name: known[q.name] for q in effect.parameters if not is_told(q)}
     probe = effect.probe(scales) if effect.probe else {}
     for shape, amplitude in product(list_shapes(effect, scales), amplitudes if probe else (1.0,)):
         values = {**shape, **{name: value * amplitude for name, value in probe.items()}}
-        yield {names[name]: within_bounds(model, names[name], value) for name, value in values.items()}
+        yield {names[name]: within_bounds(model, names[name], value) for name, value in values.items() if name in names}
 
 
 def list_shapes(effect: Effect, scales: Scales) -> Sequence[Mapping[str, float]]:

@@ -61,12 +61,12 @@ heat_gain = Effect(
 
 # Zero of the Celsius scale (K).
 ZERO_CELSIUS = 273.15
-# A temperature whose peak is below this is in degrees Celsius: nothing that is modelled here runs that cold in kelvin.
-WARMEST_CELSIUS = 200.0
+# A temperature that comes below this (K) is one in degrees Celsius, or above that of the air: what is modelled here is never so cold.
+COLDEST_KELVIN = 200.0
 
 
 def _celsius_offset(s: Scales) -> Mapping[str, list[float]]:
-    is_kelvin = s.peaks["temperature"] > WARMEST_CELSIUS
+    is_kelvin = s.floors["temperature"] > COLDEST_KELVIN
     return {"T0": [0.0 if is_kelvin else ZERO_CELSIUS]}
 
 
@@ -83,7 +83,7 @@ radiation_loss = Effect(
         amplitude_parameter(
             "kr", "{force}/{temperature}**4", "emissivity times area times 5.67e-8 W/(m^2 K^4)", low=0.0
         ),
-        fixed_parameter("T0", "{temperature}", ZERO_CELSIUS, (0.0, 500.0), "absolute temperature at zero of the scale"),
+        fixed_parameter("T0", "{temperature}", 0.0, (0.0, 500.0), "absolute temperature at zero of the scale"),
     ],
     terms=lambda x, u, p: -p.kr * ((x.temperature + p.T0) ** 4 - (_ambient(u, p) + p.T0) ** 4),
     equation="-kr ((T + T0)^4 - (Ta + T0)^4)",

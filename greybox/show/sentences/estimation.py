@@ -514,6 +514,10 @@ register(
         EstimationCode.TOO_MANY_OUTLIERS: "too many samples of {outputs:list} count as outliers: the model is incomplete, or the noise is"
         " larger than assumed",
         EstimationCode.NOISE_COLOUR_IGNORED: "the noise is coloured, but a fit with process noise assumes white noise",
+        EstimationCode.CONSTANT_BY_RECORD: lambda f: (
+            f"{f.subject} is taken as {wording.value_with_unit(f.values['value'], f.values['unit'], 6)} by what the record shows; fix it"
+            f" (--fix {f.subject}=VALUE) where you know it"
+        ),
         EstimationCode.STARTS_NOT_BEGUN: "{left:d} of {starts:d} starts were not finished within {seconds:.3g} s; repeat the command to"
         " continue with them",
     }

@@ -52,7 +52,7 @@ def thermal(loss: Callable[[float, float], float]) -> Rate:
 THERMAL = {
     "heat_loss": ({"G": 0.3}, lambda T, z: 0.3 * (T - 20)),
     "heat_gain": ({"Q0": 9.0}, lambda T, z: -9.0),
-    "radiation_loss": ({"kr": 2e-9}, lambda T, z: 2e-9 * ((T + 273.15) ** 4 - 293.15**4)),
+    "radiation_loss": ({"kr": 2e-9, "T0": 273.15}, lambda T, z: 2e-9 * ((T + 273.15) ** 4 - 293.15**4)),
     "natural_convection": ({"c": 0.3, "least": 1e-4}, lambda T, z: 0.3 * copysign(abs(T - 20) ** 1.25, T - 20)),
     "heat_storage": ({"g": 0.6, "tau_g": 90.0}, lambda T, z: 0.6 * (T - z)),
 }
