@@ -16,7 +16,9 @@ from greybox.base.values import Finding, Severity, with_code
 from greybox.comparison import result
 from greybox.comparison.blackbox.polynomial import InitialChoice
 from greybox.comparison.blackbox.resample import match_sampling_time
+from greybox.data.data_frame import Frame
 from greybox.data.experiment import Experiment, name_records
+from greybox.data.read import as_experiments
 from greybox.estimation.errors import OutputRun, PredictionsAhead
 from greybox.estimation.optimum import has_free_run
 from greybox.estimation.options import FitOptions
@@ -128,9 +130,9 @@ COMPARISON_FEWEST_ROWS = 2
 
 def compare(
     models: Sequence[ComparedModel | NamedModel] | Mapping[str, ComparedModel],
-    experiments: Experiment | Sequence[Experiment] = (),
+    experiments: Experiment | Frame | Sequence[Experiment | Frame] = (),
     *,
-    training: Experiment | Sequence[Experiment] = (),
+    training: Experiment | Frame | Sequence[Experiment | Frame] = (),
     skip: int = 0,
     beginning: int = 0,
     steps: Sequence[int] = (),
@@ -188,7 +190,12 @@ def compare(
         entered = [NamedModel(name, model) for name, model in models.items()]
     else:
         entered = [m if isinstance(m, NamedModel) else NamedModel(name_of(m), m) for m in models]
-    validation, training = name_records(experiments), name_records(training)
+    # A table has the columns of the physical model.
+    plant = next((as_model(named.model) for named in entered if isinstance(named.model, (Fit, Model))), None)
+    judges, learnt = (
+        name_records(as_experiments(records, plant) if plant else records)  # type: ignore[arg-type]  # which refuses a table
+        for records in (experiments, training)
+    )
     if not entered:
         raise DataError("no model to compare; give at least one")
     names = [named.name for named in entered]
@@ -196,15 +203,15 @@ def compare(
     if duplicates:
         raise DataError(f"models of the same name: {', '.join(duplicates)}; give a dictionary of names and models")
     fits = [named.model for named in entered if isinstance(named.model, Fit)]
-    training = training or (tuple(t.experiment for t in fits[0].traces) if fits else ())
-    if not validation and not training:
+    learnt = learnt or (tuple(t.experiment for t in fits[0].traces) if fits else ())
+    if not judges and not learnt:
         raise DataError("no record to compare on; give experiments, or the training records")
     # Rows that determine the initial state are not judged as well.
     skip = max(skip, beginning)
-    shortest = min((e.rows for e in validation), default=skip + COMPARISON_FEWEST_ROWS)
+    shortest = min((e.rows for e in judges), default=skip + COMPARISON_FEWEST_ROWS)
     if skip < 0 or shortest - skip < COMPARISON_FEWEST_ROWS:
         raise DataError(f"skip: {skip} rows, but the shortest record has {shortest}; leave out fewer rows")
-    for group in (validation, training):
+    for group in (judges, learnt):
         check_steps_ahead(steps, group)
     # The same beginning for all models: a difference in it would look like one of the models.
     at_rest = (
@@ -215,8 +222,8 @@ def compare(
     stated = [as_model(named.model) for named in entered if isinstance(named.model, (Model, Fit))]
     known_units = {o.name: o.unit for model in stated for o in model.outputs} | dict(units or {})
     setup = _Setup(
-        validation,
-        training,
+        judges,
+        learnt,
         skip,
         beginning,
         tuple(sorted({int(k) for k in steps} - {1})),
@@ -234,8 +241,8 @@ def compare(
     comparison = result.Comparison(
         entries,
         {name: known_units.get(name, "") for name in outputs},
-        tuple(e.name for e in training),
-        tuple(e.name for e in validation),
+        tuple(e.name for e in learnt),
+        tuple(e.name for e in judges),
         skip,
         options=options,
     )

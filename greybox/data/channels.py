@@ -10,6 +10,7 @@ import numpy as np
 
 from greybox.base import DataError, Finding, shorten
 from greybox.data.columns import ColumnMatch, SignalKind, check_size, check_width, describe_wrong_count
+from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME
 from greybox.data.input_course import Hold, choose_course
 from greybox.data.policy import READING_POLICY, ReadingPolicy
@@ -172,7 +173,8 @@ class ChannelTable:
         shared = self._find_shared(wanted)
         needed = list(dict.fromkeys([*wanted, *(k for pair in shared for k in pair)]))
         check_size(2 * sum(self.channels[k - 1].rows for k in needed), 1, self.policy)
-        samples = {k + 1: s for k, s in self.load([k - 1 for k in needed]).items()}
+        loaded = {k + 1: s for k, s in self.load([k - 1 for k in needed]).items()}
+        samples = {k: s.without_repeats() for k, s in loaded.items()}
         problems = [
             f"column {shorten(self.headers[k])!r}: {problem}"
             for k in needed
@@ -187,7 +189,9 @@ class ChannelTable:
         uses = {k: self.uses.get(k, ChannelUse(self.headers[k], SignalKind.OUTPUT, "first")) for k in wanted}
         base = bring_to_one_base({k: samples[k] for k in wanted}, uses, self.step, self.policy)
         columns = {0: base.time, **base.columns}
-        return {k: columns[k] for k in positions}, list(base.problems), (*started, *findings, *base.findings)
+        lost = {self.headers[k]: len(s.time) - len(samples[k].time) for k, s in loaded.items() if k in wanted}
+        twice = (Finding(RecordCode.ROWS_TWICE, subject=n, values={"rows": rows}) for n, rows in lost.items() if rows)
+        return {k: columns[k] for k in positions}, list(base.problems), (*started, *twice, *findings, *base.findings)
 
     def _find_shared(self, wanted: Sequence[int]) -> list[tuple[int, int]]:
         """Pairs of channels by which the clocks of the wanted ones can be compared: of one name, with the first clock in front."""

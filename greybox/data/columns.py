@@ -18,7 +18,7 @@ from greybox.base.texts import to_word
 from greybox.base.units import Conversion, unit_converter
 from greybox.data.findings import RecordCode
 from greybox.data.headers import LONGEST_HEADER, TIME, Column, UnitSource, parse_header, read_endings, read_time
-from greybox.data.notation import converts, is_count, read_conversion, read_notation
+from greybox.data.notation import WORDS, converts, is_count, read_conversion, read_notation
 from greybox.data.policy import ReadingPolicy
 from greybox.data.problems import RowLabels, enumerate_first
 from greybox.data.stamps import Stamps, from_digits
@@ -621,16 +621,25 @@ def _settle_unit(
         counts = _COUNTS | _ROWS if signal.kind is SignalKind.TIME else _COUNTS
         counted = next((word for word in re.split(r"[\W_\d]+", column.name.lower()) if word in counts), "")
     if is_chosen and (other or counted):
-        how, one = (
-            _explain_mapping(signal, replace(column, unit=unit), are_named)
-            for unit in (signal.unit or "1", f"0.01 {signal.unit}")
-        )
+        how = _explain_mapping(signal, replace(column, unit=signal.unit or "1"), are_named)
+        share = _explain_share(signal, column, "0.01", are_named) if counted and not other else ""
         problems.append(
             f"column {shorten(column.header)!r} for {signal.label} names {[*other, counted][0]}, a unit of another quantity; choose"
             f" another column, or {how} if its numbers are in {signal.unit or 1}"
-            + (f"; if one is 0.01 {signal.unit}, {one}" if counted and not other else "")
+            + (f"; if one is 0.01 {signal.unit}, {share}" if share else "")
+            + (_explain_per_cent(signal, column, are_named) if "%" in other else "")
         )
     return column
+
+
+def _explain_share(signal: RequestedSignal, column: Column, one: str, are_named: bool) -> str:
+    """How to say that ``one`` of the signal's unit is what a number of the column counts."""
+    return _explain_mapping(signal, replace(column, unit=f"{one} {signal.unit}"), are_named)
+
+
+def _explain_per_cent(signal: RequestedSignal, column: Column, are_named: bool) -> str:
+    """How to say of what a column is per cent: a duty cycle of the supply, a valve of its travel."""
+    return f"; if 100 % is 12 {signal.unit}, {_explain_share(signal, column, '0.12', are_named)}"
 
 
 def _find_conversion(column: Column, signal: RequestedSignal, are_named: bool, problems: list[str]) -> Conversion:
@@ -644,11 +653,12 @@ def _find_conversion(column: Column, signal: RequestedSignal, are_named: bool, p
         if is_count(column.unit):
             # What one count is, the rig says: an encoder's lines a turn, a converter's range over its steps.
             is_angle = converts("turn/4096", signal.unit, is_told=True)
-            one = replace(column, unit="turn/4096" if is_angle else f"0.001 {signal.unit}")
+            turn = _explain_mapping(signal, replace(column, unit="turn/4096"), are_named)
+            how = turn if is_angle else _explain_share(signal, column, "0.001", are_named)
             example = "with 4096 counts a turn" if is_angle else f"with 0.001 {signal.unit} a count"
             problems.append(
                 f"column {shorten(column.header)!r} holds counts, and {signal.label} is wanted: say what one count is;"
-                f" {example}, {_explain_mapping(signal, one, are_named)}"
+                f" {example}, {how}"
             )
             return as_it_is
         how, count = _explain_mapping(signal, replace(column, unit=signal.unit or "1"), are_named), ""
@@ -657,6 +667,11 @@ def _find_conversion(column: Column, signal: RequestedSignal, are_named: bool, p
         problems.append(
             f"column {shorten(column.header)!r} in {shorten(column.unit)} does not convert to {signal.label}: {error}; to take its"
             f" numbers as {signal.unit or 1}, {how}{count}"
+            + (
+                _explain_per_cent(signal, column, are_named)
+                if WORDS.get(column.unit.lower(), column.unit) == "%"
+                else ""
+            )
         )
         return as_it_is
 

@@ -42,6 +42,7 @@ class RecordCode(StrEnum):
     COLUMNS_IGNORED = "columns_ignored"
     CONDITION_READ = "condition_read"
     ONE_OF_RUNS = "one_of_runs"
+    ROWS_TWICE = "rows_twice"
     RESAMPLED = "record_resampled"
     ROWS_OF_PAST = "rows_of_past"
     NO_TIME = "no_time"

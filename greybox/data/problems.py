@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,11 @@ class RowLabels:
         """The same for these rows alone, which are counted from 0 again."""
         numbers = range(1, (rows.stop or 0) + 1) if self.numbers is None else self.numbers
         return RowLabels(self.word, numbers[rows])
+
+    def without(self, left: np.ndarray) -> RowLabels:
+        """The same without the rows where ``left`` (N,)."""
+        numbers = np.arange(1, len(left) + 1) if self.numbers is None else np.asarray(self.numbers)
+        return RowLabels(self.word, numbers[: len(left)][~left])
 
     def describe(self, rows: Sequence[int] | np.ndarray, shown: int = 5) -> str:
         """Name the rows (counted from 0): ``line 17`` or ``lines 17, 18, 19, 20, 21 and 40 more``."""
@@ -121,6 +126,16 @@ def find_measurement_problems(
     return problems
 
 
+def find_repeats(time: np.ndarray, columns: Iterable[np.ndarray]) -> np.ndarray:
+    """Rows (N,) that say once more what the row before says, at the same time: a logger that wrote it twice. None where others differ."""
+    repeats = np.append(False, np.diff(time) == 0)
+    rows = np.flatnonzero(repeats)
+    for values in columns if len(rows) else ():
+        if len(values) != len(time) or not np.array_equal(values[rows], values[rows - 1], equal_nan=True):
+            return np.zeros(len(time), bool)
+    return repeats
+
+
 def is_constant(values: np.ndarray) -> bool:
     """Whether every measured value is the same; gaps aside."""
     known = values[~np.isnan(values)]
@@ -138,7 +153,7 @@ def _find_time_problems(time: np.ndarray, labels: RowLabels) -> list[str]:
     repeated, backwards = np.append(False, step == 0), np.append(False, step < 0)
     rule = "time must increase from row to row"
     replicates = (
-        "of readings repeated at one time make a record for each replicate (rep1.csv rep2.csv), or a second output"
+        "of other readings at the same time make a record for each replicate (rep1.csv rep2.csv), or a second output"
     )
     remedy = "read separate runs from separate files, or split there (shell: --split-holes)"
     return [

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
@@ -44,7 +44,13 @@ from greybox.data.input_course import (
     inspect_course,
 )
 from greybox.data.policy import READING_POLICY, ReadingPolicy
-from greybox.data.problems import RowLabels, find_array_problems, find_measurement_problems, raise_problems
+from greybox.data.problems import (
+    RowLabels,
+    find_array_problems,
+    find_measurement_problems,
+    find_repeats,
+    raise_problems,
+)
 from greybox.data.stamps import SECOND, StampReader, Stamps, Start, find_origin, from_digits, from_epoch
 from greybox.model import Model
 
@@ -374,6 +380,12 @@ def read_arrays(
     raise_problems(file.path.name, problems)
     findings += tuple(_find_per_cent(match, groups[SignalKind.INPUT]))
     time = sampling_time * np.arange(rows) if has_clock and sampling_time else groups[SignalKind.TIME][TIME]
+    labels, twice = file.table.row_labels, find_repeats(time, chain.from_iterable(g.values() for g in groups.values()))
+    if twice.any():
+        about = {"rows": int(twice.sum()), "first": labels.describe(np.flatnonzero(twice)[:1])}
+        findings += (Finding(RecordCode.ROWS_TWICE, values=about),)
+        time, labels = time[~twice], labels.without(twice)
+        groups = {kind: {n: v[~twice] for n, v in group.items()} for kind, group in groups.items()}
     return RecordArrays(
         file,
         match,
@@ -381,7 +393,7 @@ def read_arrays(
         groups[SignalKind.INPUT],
         groups[SignalKind.OUTPUT],
         groups[SignalKind.CONDITION],
-        file.table.row_labels,
+        labels,
         courses,
         findings,
         start,

@@ -29,7 +29,7 @@ from greybox.data.columns import WITHOUT_MARKS, find_dated_time, find_likely_uni
 from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME, Column, UnitSource, parse_header, read_endings, read_time
 from greybox.data.notation import COUNT, converts, read_conversion, read_notation
-from greybox.data.problems import is_constant
+from greybox.data.problems import find_repeats, is_constant
 from greybox.data.stamps import Stamps, from_digits, from_epoch
 from greybox.data.time_base import Samples, estimate_clock_offset, find_stamp_problems, is_held
 
@@ -245,6 +245,10 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, rena
             findings.append(Finding(RecordCode.TIME_UNUSABLE, Severity.WARNING, values={"reason": str(error)}))
     elif clock is None and sampling_time:
         time = sampling_time * np.arange(rows)
+    if time is not None and (twice := find_repeats(time, arrays.values())).any():
+        counts = {"rows": int(twice.sum()), "first": table.row_labels.describe(np.flatnonzero(twice)[:1])}
+        findings.append(Finding(RecordCode.ROWS_TWICE, values=counts))
+        time, arrays = time[~twice], {k: array[~twice] for k, array in arrays.items()}
     if time is None and clock is None:
         findings.append(Finding(RecordCode.NO_TIME, Severity.WARNING))
     elif time is not None and (problems := find_stamp_problems(Samples(time, time))):
@@ -295,7 +299,7 @@ def _survey_channels(
         if channel.holds:
             signals.append(_survey_signal(column, clock, None, None, used, rows=channel.rows))
             continue
-        samples = file.load_channel(k)
+        samples = file.load_channel(k).without_repeats()
         problems = find_stamp_problems(samples)
         if problems:
             values = {"reason": problems[0]}

@@ -19,6 +19,7 @@ from greybox.base import TIME_ROUNDING, Finding, Severity
 from greybox.data import input_course, policy, sampling
 from greybox.data.columns import SignalKind, check_size
 from greybox.data.findings import RecordCode
+from greybox.data.problems import find_repeats
 
 
 class Samples(NamedTuple):
@@ -27,6 +28,11 @@ class Samples(NamedTuple):
     time: np.ndarray
     values: np.ndarray
     latency: float | None = None
+
+    def without_repeats(self) -> Samples:
+        """Without samples that were written twice, time and value alike."""
+        twice = find_repeats(self.time, [self.values])
+        return self._replace(time=self.time[~twice], values=self.values[~twice]) if twice.any() else self
 
 
 class ChannelUse(NamedTuple):

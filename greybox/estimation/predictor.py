@@ -12,7 +12,8 @@ from scipy.special import ndtri
 
 from greybox.base import DataError, ModelError, Printable, nearest
 from greybox.base.numerics import TINY, UNSEEN_INFORMATION
-from greybox.data.experiment import Experiment
+from greybox.data.data_frame import Frame
+from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, fit_autoregression, join_series
 from greybox.data.read import as_experiments
 from greybox.estimation.noise_loop import solve
@@ -214,7 +215,7 @@ class Predictor:
     """Free runs of a fit: where nothing moves the states a prediction is the run, and what is foretold of its error."""
 
     def predict(
-        self, experiment: Experiment, steps: int = 1, *, initial: InitialState | None = None
+        self, experiment: Experiment | Frame, steps: int = 1, *, initial: InitialState | None = None
     ) -> dict[str, np.ndarray]:
         """Predict the outputs of a record: row ``k`` from the inputs, and from the measurements up to row ``k - steps``.
 
@@ -239,6 +240,7 @@ class Predictor:
             For steps below one.
         """
         _check_steps(steps)
+        (experiment,) = as_experiments(experiment, self.correction.model)
         if self.correction.model.noisy_states:
             names = [o.name for o in self.correction.model.outputs]
             cost = PredictionErrorObjective.of(self._prepare(experiment, initial))
@@ -254,8 +256,9 @@ class Predictor:
         }
         return free | corrected
 
-    def simulate(self, experiment: Experiment, *, initial: InitialState | None = None) -> dict[str, np.ndarray]:
+    def simulate(self, experiment: Experiment | Frame, *, initial: InitialState | None = None) -> dict[str, np.ndarray]:
         """Outputs by name (N,) of the free run; ``initial`` as for `predict`."""
+        (experiment,) = as_experiments(experiment, self.correction.model)
         names = [o.name for o in self.correction.model.outputs]
         for trace in self.known if initial is None else ():
             if trace.experiment.identity == experiment.identity and set(names) <= set(trace.simulated):
@@ -354,7 +357,7 @@ def predictor(
 
 def predict(
     model: Model | Fit | PredictingModel,
-    experiment: Experiment,
+    experiment: Experiment | Frame,
     *,
     steps: int = 1,
     noise: Mapping[str, float] | NoiseModel | None = None,
@@ -401,7 +404,8 @@ def predict(
         return predictor(model, records, noise=noise, options=options).predict(experiment, steps)
     if not hasattr(model, "predict"):
         raise ModelError(f"{model!r} cannot predict; give a Model, a Fit, or a model with a predict method")
-    return dict(model.predict(experiment, steps=steps))
+    (record,) = as_records(experiment)  # type: ignore[arg-type]  # a table has no model here to be read for, which is said
+    return dict(model.predict(record, steps=steps))
 
 
 def _check_steps(steps: int) -> None:
@@ -452,7 +456,7 @@ class SmoothedStates(Printable):
 
 def smooth(
     model: Model | Fit,
-    experiment: Experiment,
+    experiment: Experiment | Frame,
     *,
     noise: Mapping[str, float] | NoiseModel | None = None,
     options: FitOptions | None = None,
@@ -489,6 +493,7 @@ def smooth(
     >>> low, high = smooth(fit, record).band("v")  # doctest: +SKIP
     """
     given = fix_parameters(model, noise, options)
+    (experiment,) = as_experiments(experiment, given.model)
     cost = estimate_initial_state(make_likelihood(given, experiment), given.options)
     pn, x0 = cost.start(0)
     smoothed = smooth_states(cost.kalman, cost.records[0], pn, x0, _make_prior_covariance(cost))

@@ -249,7 +249,7 @@ def _show(answer: Answer, study: Study, commands: Mapping[str, Command]) -> None
     if study.json:
         click.echo(answer.as_json(page).removesuffix("\n"))
     elif not study.silent:
-        following = answer.next if isinstance(answer.next, str) else answer.next.spell(commands)
+        following = answer.next if isinstance(answer.next, str) else answer.next.keeping(answer.files).spell(commands)
         lines = wrap_command(f"next: {following}", width) if following else []
         if files := [*answer.files, *pictures, *([page] if page else [])]:
             lines += wrap(_list_files(files), width, "  ")

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import takewhile
+from itertools import count, takewhile
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Generic, Self, TypeVar, overload
@@ -464,6 +464,25 @@ class NextCommand:
     command: str
     arguments: Sequence[object]
     holds: Collection[Option[Any]] = ()
+    output: Path | None = None
+
+    def keeping(self, files: Sequence[Path]) -> NextCommand:
+        """The same with a folder of its own where it would replace results that are there; ``files``: what the study wrote."""
+        if not files:
+            return self
+        results = Path("results")
+        own = files[0].with_suffix("") if files[0].parent == results else files[0].parent
+        name = own.name.removesuffix(f"-{self.study.command}")
+        if own.parent == results and name != own.name:
+            usual = own.with_name(f"{name}-{self.command}")
+            names = (f"{usual}-{k}" for k in count(2))
+        else:
+            # The results of a study in a folder that somebody named: those of its model may lie in any.
+            usual = next(iter(results.glob(f"*-{self.command}")), results / self.command)
+            names = (f"{own}-{self.command}{'' if k == 1 else f'-{k}'}" for k in count(1))
+        if not usual.is_dir() or not any(usual.iterdir()):
+            return self
+        return replace(self, output=next(path for path in map(Path, names) if not path.exists()))
 
     def spell(self, commands: Mapping[str, Command]) -> str:
         """As it is typed."""
@@ -477,6 +496,8 @@ class NextCommand:
                     words.append(option.flags[0])
                 else:
                     words += [word for text in values for word in (option.flags[0], text)]
+        if self.output is not None and any(o.usage == Study.output.usage for o in commands[self.command].options):
+            words += [Study.output.flags[0], str(self.output)]
         return " ".join(map(to_word, words))
 
     def _study(self, command: Command) -> Study:

@@ -13,12 +13,12 @@ from typing import Any, BinaryIO
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
-from greybox.base import TINY, DataError, ModelError, nearest, write_file
+from greybox.base import TINY, ModelError, nearest, write_file
 from greybox.base.numerics import REFERENCE_TOLERANCE, ROWS_AT_A_TIME
 from greybox.data.columns import ColumnMapping
-from greybox.data.experiment import UNNAMED, Experiment
+from greybox.data.data_frame import Frame, is_frame, open_frame
+from greybox.data.experiment import Experiment
 from greybox.data.input_course import Hold, Holds
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, raise_problems
@@ -40,7 +40,7 @@ from greybox.simulation.records import to_record
 
 
 def read_inputs(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | Frame,
     model: Model,
     *,
     columns: ColumnMapping | Sequence[str] | None = None,
@@ -56,7 +56,7 @@ def read_inputs(
     Parameters
     ----------
     path
-        The file, of a kind that `greybox.read_csv` reads.
+        The file, of a kind that `greybox.read_csv` reads; or a data frame, or arrays by name.
     model
         Its inputs are looked for, and their units are those of the record.
     columns, sampling_time, interpolation, before, window, reading
@@ -74,8 +74,9 @@ def read_inputs(
     DataError
         For a file that is missing, cannot be read, or lacks an input.
     """
+    opened: Any = open_frame(path, reading) if is_frame(path) else path
     record = read_arrays(
-        path,
+        opened,
         model,
         columns=columns,
         sampling_time=sampling_time,
@@ -149,7 +150,7 @@ class Simulation:
 
 def simulate(
     model: Model | Plant,
-    inputs: Experiment | Mapping[str, ArrayLike],
+    inputs: Experiment | Frame,
     *,
     initial: Mapping[str, float] | None = None,
     settled: bool = False,
@@ -164,7 +165,8 @@ def simulate(
     model
         The model, or a plant (`greybox.simulation.plant.Plant`).
     inputs
-        An `Experiment`, of which outputs are ignored, or ``{"time": ..., "u": ...}`` with arrays (N,), held between samples.
+        An `Experiment` or a data frame, of which outputs are ignored, or ``{"time": ..., "u": ...}`` with arrays (N,), held between
+        samples; headers and units of a table are read as those of a file.
     initial
         Values of states at the first row, by name; the others are as declared.
     settled
@@ -196,11 +198,8 @@ def simulate(
     if isinstance(inputs, Experiment):
         experiment = inputs.with_outputs({})
     else:
-        if "time" not in inputs:
-            names = ", ".join(repr(i.name) + ": ..." for i in model.inputs)
-            raise DataError(f"inputs have no 'time'; give {{'time': ..., {names}}}")
-        values = {name: np.asarray(v, float) for name, v in inputs.items()}
-        experiment = Experiment(UNNAMED, values.pop("time"), values, {})
+        # Arrays by name are held, as they are documented; the inputs of a table move as those of a file that is fitted.
+        experiment = read_inputs(inputs, model, hold="zero" if isinstance(inputs, Mapping) else "auto")
     record = to_record(model, experiment)
     p, x0 = np.array(list(model.values.values())), declared_initial_state(model, initial)
     if isinstance(model, PlantModel):

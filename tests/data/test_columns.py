@@ -486,3 +486,15 @@ def test_columns_that_a_look_at_a_file_proposes_are_read_by_a_model_in_other_uni
     read = read_arrays(tmp_path / "run.csv", model, columns=proposed)
     np.testing.assert_allclose(read.outputs["p_bar"], [1e5, 2e5, 2e5])
     np.testing.assert_allclose(read.outputs["angle_deg"], [np.pi / 2, np.pi, np.pi / 2])
+
+
+@pytest.mark.parametrize(
+    "header", ["PWM_%", "duty [%]", "PWM (%)", "Tastgrad in %", "valve pct [pct]", "Stellgrad [Prozent]"]
+)
+def test_a_share_in_per_cent_is_asked_of_what(tmp_path, header):
+    path = tmp_path / "run.csv"
+    path.write_text(f"time [s],{header},v [m/s]\n0,50,0\n1,100,1\n2,0,2\n", encoding="utf-8")
+    with pytest.raises(DataError, match=r"if 100 % is 12 N") as asked:
+        read_csv(path, CART, columns={"f": header})
+    assert f"'f [0.12*N]': {header!r}" in str(asked.value)
+    assert read_csv(path, CART, columns={"f [0.12*N]": header}).inputs["f"].tolist() == [6.0, 12.0, 0.0]

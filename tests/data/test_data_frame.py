@@ -110,3 +110,44 @@ def test_a_fit_of_a_model_of_lambdas_is_pickled(frame):
     again = pickle.loads(pickle.dumps(fit))
     assert again.parameters == fit.parameters and str(again) == str(fit)
     assert gb.predict(again, frame)["x"] == pytest.approx(gb.predict(fit, frame)["x"], rel=1e-12)
+
+
+FORMS = {
+    "headers with units": lambda f: f,
+    "plain names in the model's units": lambda f: pd.DataFrame(
+        {"time": f["time [s]"], "u": f["u [V]"], "x": 1e-3 * f["x [mm]"]}
+    ),
+    "a time in ms and an input in mV": lambda f: pd.DataFrame(
+        {"time [ms]": 1e3 * f["time [s]"], "u [mV]": 1e3 * f["u [V]"], "x [mm]": f["x [mm]"]}
+    ),
+    "dates called time": lambda f: f.drop(columns="time [s]").assign(
+        time=pd.Timestamp("2024-03-31 08:00") + pd.to_timedelta(f["time [s]"], unit="s")
+    ),
+    "dates in the index": lambda f: f.set_index(
+        pd.Timestamp("2024-03-31 08:00", tz="UTC") + pd.to_timedelta(f["time [s]"], unit="s")
+    ).drop(columns="time [s]"),
+    "arrays by name": lambda f: {name: f[name].to_numpy() for name in f},
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_verb_reads_a_table_as_a_file(frame, form):
+    record = gb.read_csv(frame, lag)
+    fit = gb.fit(lag, record, noise={"x": 1e-3})
+    given = FORMS[form](frame)
+    close = {"rtol": 1e-6, "atol": 1e-9}
+    np.testing.assert_allclose(
+        gb.simulate(fit.model, given).outputs["x"], gb.simulate(fit.model, record).outputs["x"], **close
+    )
+    # Where a rounding makes it another record, its first state is estimated anew: within a hundredth of the noise.
+    np.testing.assert_allclose(gb.predict(fit, given)["x"], gb.predict(fit, record)["x"], atol=1e-5)
+    noisy = lag.with_process_noise(x=1e-2)
+    np.testing.assert_allclose(
+        gb.smooth(noisy, given, noise={"x": 1e-3}).mean["x"],
+        gb.smooth(noisy, record, noise={"x": 1e-3}).mean["x"],
+        **close,
+    )
+    compared, expected = (gb.compare([fit], table)["lag"].validation["x"].rmse for table in (given, record))
+    assert compared == pytest.approx(expected, rel=1e-6)
+    assert gb.fit_each(lag, [given, given], noise={"x": 1e-3}, workers=1).records
+    assert not gb.detect_changes(fit, given, search_effects=False).moved

@@ -1,6 +1,7 @@
 """Reading records: the same arrays whatever the file looks like, and one clear message for a file that is not right."""
 
 import csv
+import datetime as dt
 import json
 import re
 import string
@@ -21,6 +22,7 @@ from greybox.data.file_kinds import FileFormat, RecordFile
 from greybox.data.findings import RecordCode
 from greybox.data.policy import ReadingPolicy
 from greybox.data.read import read_csv, read_experiments
+from greybox.data.survey import survey_file
 from greybox.data.text_table import read_text
 from greybox.model.balance import Balance
 from greybox.model.model import Model
@@ -822,3 +824,54 @@ def test_real_records_are_regular_and_complete(shared_data, file, model, rows, s
     assert ((u[0], y[0]), (u[-1], y[-1])) == (first, last)
     assert not np.isnan(y).any()
     assert experiment.findings == ()
+
+
+@pytest.mark.parametrize("form", ["csv", "xlsx", "dates", "frame", "sheets", "gaps"])
+@pytest.mark.parametrize("where", [[7], [7, 7, 7], [0, 20, len(TIME) - 1]])
+def test_rows_that_a_logger_wrote_twice_count_once(tmp_path, form, where):
+    """Nothing is carried by a reading that is repeated at its own time; another reading at that time is no repetition."""
+    rows = sorted([*range(len(TIME)), *where])
+    answer = ANSWER.copy()
+    if form == "gaps":
+        answer[7] = np.nan
+    table = {"time [s]": TIME[rows], "u [V]": DRIVE[rows], "x [m]": answer[rows]}
+    path = tmp_path / ("run.xlsx" if form in ("xlsx", "sheets") else "run.csv")
+    model = _oscillator("slow", [Input("u", "V")], [Output("x", "m")])
+    source = path
+    if form in ("csv", "gaps"):
+        write(path, list(table), list(table.values()))
+    elif form == "dates":
+        start = dt.datetime(2024, 3, 1, 8)
+        stamps = [(start + dt.timedelta(seconds=float(t))).isoformat() for t in table["time [s]"]]
+        lines = (f"{s},{float(u)!r},{float(x)!r}" for s, u, x in zip(stamps, DRIVE[rows], answer[rows], strict=True))
+        path.write_text("\n".join(["time,u [V],x [m]", *lines]))
+    elif form == "frame":
+        source = table
+    else:
+        book = pytest.importorskip("openpyxl").Workbook()
+        names = [list(table)] if form == "xlsx" else [["time [s]", "u [V]"], ["time [s]", "x [m]"]]
+        for k, headers in enumerate(names):
+            sheet = book.active if not k else book.create_sheet(f"more{k}")
+            for row in [headers, *zip(*(map(float, table[h]) for h in headers), strict=True)]:
+                sheet.append(list(row))
+        book.save(path)
+    record = read_csv(source, model)
+    assert record.rows == len(TIME)
+    np.testing.assert_allclose(record.time, TIME, atol=1e-6)
+    np.testing.assert_allclose(record.outputs["x"], answer, rtol=1e-12)
+    counts = [f.values["rows"] for f in record.findings if f.code == RecordCode.ROWS_TWICE]
+    assert counts == [len(where)] * (2 if form == "sheets" else 1)
+    if form != "frame":
+        surveyed = survey_file(path)
+        assert RecordCode.TIME_UNUSABLE not in {f.code for f in surveyed.findings}
+
+
+def test_another_reading_at_the_same_time_is_still_asked_about(tmp_path):
+    rows = sorted([*range(len(TIME)), 7, 20])
+    answer = ANSWER[rows].copy()
+    answer[8] += 1e-3
+    path = write(tmp_path / "run.csv", ["time [s]", "u [V]", "x [m]"], [TIME[rows], DRIVE[rows], answer])
+    with pytest.raises(
+        DataError, match=r"time is repeated at lines 10, 24 .*of other readings at the same time make a record for each"
+    ):
+        read_csv(path, _oscillator("slow", [Input("u", "V")], [Output("x", "m")]))

@@ -245,3 +245,34 @@ def test_after_a_comparison_a_fit_adds_what_was_added_and_not_what_the_model_has
     study = parse("compare", [*FILES, "--effect", "input_offset", "--effects", "cogging"])
     added = {"rig": (), "rig + cogging": ("cogging",)}
     assert compare._next(study, cast("Any", None), added).spell(COMMANDS).startswith(typed)
+
+
+@pytest.mark.parametrize(
+    ("written", "there", "following", "folder"),
+    [
+        ("results/rig-fit/fit.json", [], "discover", ""),
+        ("results/rig-fit/fit.json", ["results/rig-fit/fit.json"], "fit", "results/rig-fit-2"),
+        ("results/rig-discover/discovery.json", ["results/rig-fit/fit.json"], "fit", "results/rig-fit-2"),
+        (
+            "results/rig-check/check.json",
+            ["results/rig-fit/fit.json", "results/rig-fit-2/fit.json"],
+            "fit",
+            "results/rig-fit-3",
+        ),
+        ("results/rig-fit/fit.json", ["results/other-discover/discovery.json"], "discover", ""),
+        ("mine/fit.json", ["results/rig-discover/discovery.json"], "discover", "mine-discover"),
+        ("results/rig-simulated.csv", ["results/rig-fit/fit.json"], "fit", "results/rig-simulated-fit"),
+        ("results/rig-fit/fit.json", ["results/rig-export/rig.h"], "export", ""),
+    ],
+)
+def test_what_is_proposed_replaces_no_result_that_is_there(tmp_path, monkeypatch, written, there, following, folder):
+    monkeypatch.chdir(tmp_path)
+    for path in map(Path, there):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("{}")
+    name = Path(written).parent.name.rpartition("-")[2] if "-" in written else "fit"
+    command = "simulate" if written.endswith(".csv") else name if name in COMMANDS else "fit"
+    study = parse(command, [*FILES, *(["--validate", "b.csv"] if command == "discover" else [])])
+    typed = study.then(following, *FILES).keeping([Path(written)]).spell(COMMANDS)
+    assert typed.partition(" --output ")[2] == folder
+    assert following == "export" or parse(following, shlex.split(typed)[2:])

@@ -17,6 +17,7 @@ from greybox.base.values import Check, Finding, Severity
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.identity import find_shared_readings
 from greybox.data.noise.noise_model import AutoRegression
+from greybox.data.read import as_experiments
 from greybox.discovery.pipeline import discover
 from greybox.discovery.result import Discovery
 from greybox.estimation.fit import fit
@@ -221,7 +222,7 @@ def detect_changes(
     ('changed', ('K',))
     """
     began = time.perf_counter()
-    listed, judges = name_records(records), name_records(validation)
+    listed, judges = (name_records(as_experiments(group, reference.model)) for group in (records, validation))
     check_reference(reference)
     if not listed:
         raise DataError("no record of today: give at least one")

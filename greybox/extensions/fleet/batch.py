@@ -27,6 +27,7 @@ from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
 from greybox.base.parallel.local_pool import count_cores, open_local_pool
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import NoiseModel
+from greybox.data.read import as_experiments
 from greybox.estimation.fit import fit
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
@@ -203,7 +204,9 @@ def fit_each(
     if isinstance(records, str | os.PathLike):
         records = find_records(records)
     collection = records if isinstance(records, RecordCollection) else RecordCollection(())
-    items: Sequence[Item] = records.references if isinstance(records, RecordCollection) else as_records(records)
+    items: Sequence[Item] = (
+        records.references if isinstance(records, RecordCollection) else as_records(as_experiments(records, model))
+    )
     if not items:
         raise DataError("no records to fit; give a folder with records, or at least one experiment")
     run = _FleetRun(_Work(model, model, collection, noise, colour, options), items, journal, report)

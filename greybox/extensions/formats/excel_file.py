@@ -235,10 +235,10 @@ def _read_block(
         row = next(rows, None)
     left = sum(any(cell is not None for cell in below) for below in rows)
     values = {"row": count + 1, "rows": left}
-    findings = (Finding(RecordCode.ROWS_BELOW_TABLE, Severity.WARNING, title, values),) if left else ()
+    findings = [Finding(RecordCode.ROWS_BELOW_TABLE, Severity.WARNING, title, values)] * bool(left)
     signs = find_decimal_signs(cell for column in cells.values() for cell in column if isinstance(cell, str))
     marks = {} if signs else {named[k]: read_marks(column) for k, column in cells.items()}
-    findings += tuple(f for header, shown in marks.items() for f in find_open_points(header, shown, named.values()))
+    findings += [f for header, shown in marks.items() for f in find_open_points(header, shown, named.values())]
     columns: dict[str, np.ndarray | Stamps] = {}
     for k, column in cells.items():
         numbers, header = _to_column(column, signs), parse_header(named[k], k)
@@ -247,7 +247,7 @@ def _read_block(
             columns[named[k] if header.unit else f"{named[k]} [%]"] = 100 * numbers
         else:
             columns[named[k]] = numbers
-    return _Sheet(title, columns, findings, signs)
+    return _Sheet(title, columns, tuple(findings), signs)
 
 
 def _to_column(cells: list[Any], signs: frozenset[str]) -> np.ndarray | Stamps:

@@ -202,6 +202,10 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     ),
     RecordCode.FEW_ROWS: "only {rows} rows: the intervals hold if the model is right, and so few values hardly show whether it is",
     RecordCode.ONE_OF_RUNS: "one of {runs} runs in its file: time restarts with each run",
+    RecordCode.ROWS_TWICE: lambda f: (
+        f"{f.subject + ': ' if f.subject else ''}{count_noun(f.values['rows'], 'row')} written twice, time and values alike, counted once"
+        + (f" (first {f.values['first']})" if "first" in f.values else "")
+    ),
     RecordCode.RESAMPLED: "resampled to every {sampling_time:.6g} s from {rows} rows",
     RecordCode.NO_TIME: "no column is called time or t: name it (--column time=HEADER), or give the step (--sampling-time SECONDS)",
     RecordCode.COLUMN_WITH_TEXT: "{subject}: {count} of {rows} fields are numbers and the others are refused: {reason}",

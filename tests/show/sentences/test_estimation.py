@@ -554,6 +554,12 @@ GOLDEN = [
     ),
     ("noise_colour_ignored", "", {}, "the noise is coloured, but a fit with process noise assumes white noise"),
     (
+        "constant_by_record",
+        "T0",
+        {"value": 273.15, "stated": 0.0, "unit": "K"},
+        "T0 is taken as 273.15 K by what the record shows; fix it (--fix T0=VALUE) where you know it",
+    ),
+    (
         "starts_not_begun",
         "",
         {"left": 12, "starts": 20, "seconds": 60.0},

@@ -17,6 +17,16 @@ GOLDEN = {
         {},
         "no column is called time or t: name it (--column time=HEADER), or give the step (--sampling-time SECONDS)",
     ),
+    RecordCode.ROWS_TWICE: (
+        "",
+        {"rows": 2, "first": "line 7"},
+        "2 rows written twice, time and values alike, counted once (first line 7)",
+    ),
+    RecordCode.POINTS_OPEN: (
+        "Druck [mbar]",
+        {"text": "1.250"},
+        "Druck [mbar]: the points of 1.250 may stand between thousands, which a fit asks",
+    ),
     RecordCode.COLUMN_WITH_TEXT: (
         "x [m]",
         {"count": 299, "rows": 300, "reason": "column 'x [m]', row 9: '--' is not a number; leave it empty"},
