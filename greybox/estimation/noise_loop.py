@@ -421,7 +421,10 @@ def _update_colour(solution: Solution, options: FitOptions) -> EstimationProblem
     )
     if all(a.order == b.order for a, b in zip(models, noise.colour, strict=True)):
         return None
-    return replace(solution.problem, noise=replace(noise, colour=models))
+    coloured = frozenset(
+        o for o, known, a in zip(noise.outputs, noise.colour, models, strict=True) if a.order > known.order
+    )
+    return replace(solution.problem, noise=replace(noise, colour=models, by_residual=noise.by_residual | coloured))
 
 
 # The level of a noise stands still when it changes by less than this share from round to round ...

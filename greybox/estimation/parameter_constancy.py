@@ -216,7 +216,7 @@ CONSTANCY_LEAST_NOISE_RATIO = 0.1
 def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel) -> ResidualColour:
     """Colour and variance of what noise alone leaves in the weighted residuals ``rows``, which have the ``colour``.
 
-    Where the residual clearly exceeds the noise it is white noise of the size that is known.
+    Where the residual clearly exceeds the noise it is white noise of the size that is known, unless the residual was taken for the noise.
     """
     squares = np.concatenate([np.square(r) for r, _ in rows])
     counts = np.isfinite(squares).sum(axis=0)
@@ -226,7 +226,7 @@ def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel) -> Resid
     del squares
     models, variance = list(colour.models), [max(v, CONSTANCY_LEAST_NOISE_RATIO**2) for v in colour.variance]
     for j, name in enumerate(noise.outputs):
-        if ratio[j] > find_certain_ratio(noise, name):
+        if name not in noise.by_residual and ratio[j] > find_certain_ratio(noise, name):
             models[j], variance[j] = AutoRegression(), 1.0
     return replace(colour, models=tuple(models), variance=tuple(variance))
 

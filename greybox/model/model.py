@@ -617,7 +617,10 @@ class Model(Printable):
         new: dict[str, Parameter] = {}
         for name, change in changes.items():
             try:
-                new[name] = replace(self.parameter(name), **_numeric(name, change))
+                known, stated = self.parameter(name), _numeric(name, change)
+                # Another value is from elsewhere.
+                is_other = stated.get("value", known.value) != known.value
+                new[name] = replace(known, **{"source": "" if is_other else known.source, **stated})
             except ModelError as error:
                 problems.append(str(error))
         if problems:

@@ -251,3 +251,12 @@ def test_a_model_in_kelvin_whose_radiation_is_known_is_simulated_in_kelvin():
     known = (oven() + gb.effect("radiation_loss")).start(C=400.0, h=COOL, kr=RADIATION)
     run = gb.simulate(known, {"time": record.time, **record.inputs})
     assert np.abs(run.outputs["T"] - record.outputs["T"]).max() < 0.3
+
+
+@pytest.mark.parametrize("noise", [None, {"T": 0.05}])
+def test_a_residual_that_was_taken_for_the_noise_is_the_noise_that_constants_are_held_against(noise):
+    fitted = gb.fit(oven(), heated(0.0, 800.0), colour="residual", noise=noise)
+    assert fitted.noise.colour["T"] and not fitted.explains_records
+    for shift in (s for f in fitted.findings if f.code == "parameter_not_constant" for s in f.values["shifts"]):
+        std = fitted.parameters[shift["name"]].std
+        assert shift["before"] is None or shift["deviations"] < 3 * abs(shift["after"] - shift["before"]) / std

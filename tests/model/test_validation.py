@@ -188,3 +188,28 @@ def test_a_table_of_casadi_is_refused_with_what_to_write_instead():
 def test_arguments_in_another_order_are_named(make, said):
     with pytest.raises(ModelError, match=re.escape(said)):
         make()
+
+
+def test_another_value_does_not_keep_the_source_of_the_one_before() -> None:
+    stated = Parameter("k", "N/m", 2.0, (0.0, 10.0), source="data sheet")
+    model = Model(
+        "spring",
+        states=[State("x", "m")],
+        inputs=[Input("f", "N")],
+        outputs=[Output("x", "m")],
+        parameters=[stated, Parameter("d", "N*s/m", 1.0)],
+        balances=lambda x, u, p: [Balance("force", "N", p.d, "x", drive=u.f, spring=-p.k * x.x)],
+    )
+    sources = {
+        "data sheet": (
+            model,
+            model.start(k=2.0),
+            model.fix("k"),
+            model.fix(k=2.0),
+            model.bound(k=(1.0, 5.0)),
+            model.start(d=3.0),
+        ),
+        "": (model.start(k=2.5), model.fix(k=2.5), model.start(k=2.5).start(k=2.0)),
+    }
+    for source, models in sources.items():
+        assert {m.parameter("k").source for m in models} == {source}

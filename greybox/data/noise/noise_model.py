@@ -393,6 +393,8 @@ class NoiseModel(Printable):
     bounds: Mapping[str, NoiseBound] = field(default_factory=dict)
     named: Mapping[str, str] = field(default_factory=dict)
     growth: Mapping[str, GrowingNoise] = field(default_factory=dict)
+    by_residual: frozenset[str] = frozenset()
+    """Outputs whose colour is that of the residual: it counts as their noise, whatever its size."""
 
     @property
     def sharing(self) -> tuple[tuple[int, ...], ...]:
