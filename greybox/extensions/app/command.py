@@ -27,7 +27,8 @@ from greybox.shell.terminal import print_answer
 if TYPE_CHECKING:
     from greybox.data.columns import ColumnChoice
     from greybox.data.experiment import Experiment
-    from greybox.extensions.app.session import Session
+    from greybox.data.input_course import Hold
+    from greybox.extensions.app.session import LoadedRecord, Session
     from greybox.model import Model
 
 
@@ -151,14 +152,33 @@ class StudyOnFile:
         self.study, self.model = study, model
 
     def read(
-        self, files: Sequence[Path], columns: Mapping[str, str], *, validates: bool = False, split: bool = False
+        self,
+        files: Sequence[Path],
+        columns: Mapping[str, str],
+        *,
+        validates: bool = False,
+        split: bool = False,
+        courses: Mapping[str, Hold] | None = None,
     ) -> tuple[Experiment, ...]:
-        """The records in ``files``, as the study reads its own but for the ``columns``, ``split`` at gaps. Raises GreyboxError."""
+        """The records in ``files``, as the study reads its own but for the ``columns``, ``split`` at gaps. Raises GreyboxError.
+
+        ``courses``: input -> how it moves in the other records, where the study does not say it.
+        """
         estimation, validation = ((), tuple(files)) if validates else (tuple(files), ())
         study = self.study.but(estimation=estimation, validation=validation, columns=columns)
+        study = study.but(interpolation={**(courses or {}), **study.interpolation})
         if split and not study.split_holes:  # behind a gap the plant is in motion
             study = study.but(split_holes=True, at_rest=False)
         return tuple(record for group in inputs.read_records(study, self.model) for record in group)
+
+    def find_courses(self, records: Sequence[LoadedRecord]) -> Mapping[str, Hold]:
+        """How each input moves in every one of the ``records``, as they would be read together: those that are fitted tell it."""
+        from greybox.data.read import find_shared_courses
+
+        fitted = [r.experiment for r in records if not r.validates]
+        if self.study.hold != "auto" or not fitted:
+            return {}
+        return {**fitted[0].courses, **find_shared_courses(fitted, "auto", self.study.interpolation)}
 
     def propose_columns(
         self, file: Path, columns: Mapping[str, str]

@@ -248,7 +248,8 @@ class Workbench:
         workers: int = 0,
         listener: Callable[[Mapping[str, Any]], None] | None = None,
     ) -> None:
-        self.session, self.study, self.folder = session, study, folder
+        self.study, self.folder = study, folder
+        self.session = self._with_common_courses(session)
         self.beside, self.uploads, self.workers = tuple(beside), uploads, workers
         self.listener = listener or (lambda _: None)
         self.undone: list[Session] = []
@@ -495,7 +496,18 @@ class Workbench:
             self._places = statement, list_effects(self.session.model, self.beside)
         return self._places[1]
 
+    def _with_common_courses(self, session: Session) -> Session:
+        """The session with inputs that move alike in all its records, as those that a study reads together."""
+        courses, records = self.study.find_courses(session.records), list(session.records)
+        for k, record in enumerate(records):
+            if any(record.experiment.courses.get(name, course) != course for name, course in courses.items()):
+                again = self.study.read([record.file], session.columns, split=session.split, courses=courses)
+                records[k] = replace(record, experiment=next(e for e in again if e.name == record.experiment.name))
+        return replace(session, records=tuple(records))
+
     def _take(self, session: Session) -> None:
+        if session.records is not self.session.records:
+            session = self._with_common_courses(session)
         with self._lock:
             # Sessions are frozen: a step back is the value that was there.
             self.undone = [*self.undone, self.session][-MOST_UNDONE:]

@@ -22,7 +22,7 @@ from greybox.extensions.app.session import Session, ValueRange
 from greybox.extensions.app.workbench import Workbench
 from greybox.model.signals import Parameter
 from greybox.shell.commands import COMMANDS
-from greybox.shell.inputs import build_model, constrain, fit_options
+from greybox.shell.inputs import build_model, constrain, fit_options, read_records
 from greybox.shell.project import find_model
 from greybox.shell.study import Study
 from greybox.shell.study_file import read_study
@@ -342,3 +342,40 @@ def test_an_export_replaces_nothing_that_the_app_did_not_write(bench: Workbench,
     assert bench.folder == tmp_path / "out-2" and (bench.folder / "study.toml").is_file()
     bench.export()
     assert not (tmp_path / "out-3").exists()
+
+
+def test_an_input_moves_in_the_app_as_in_the_study_that_it_exports(rig: Path, tmp_path: Path) -> None:
+    """One record shows an input in steps, the other a smooth one: read together they are one signal, in whatever order they came."""
+    time = 0.01 * np.arange(600)
+    force = {
+        "stepped": np.sign(np.sin(3 * time)),
+        "smooth": np.sin(3 * time) + 1e-3 * np.random.default_rng(1).normal(size=600),
+    }
+    model = find_model(str(rig / "carriage.py"))
+    (name,) = (i.name for i in model.inputs)
+    for kind, values in force.items():
+        run = gb.simulate(model, {"time": time, name: values})
+        columns = {"time": time, name: values, **run.outputs}
+        np.savetxt(
+            rig / f"{kind}.csv",
+            np.column_stack(list(columns.values())),
+            delimiter=",",
+            header=",".join(columns),
+            comments="",
+        )
+    for order in (("stepped", "smooth", "train"), ("smooth", "train", "stepped")):
+        study = Study(model=str(rig / "carriage.py"), noise=NOISE)
+        session = Session(constrain(build_model(study), study), noise=NOISE, options=fit_options(study))
+        bench = Workbench(session, StudyOnFile(study, model), tmp_path / order[0], uploads=rig, workers=1)
+        for kind in order:
+            bench.load(rig / f"{kind}.csv")
+        bench.load(rig / "test.csv", validates=True)
+        bench.set_role(1, True)
+        bench.export()
+        read = read_study(bench.folder / "study.toml", "fit", COMMANDS)
+        again = read_records(read, build_model(read))
+        shown = [
+            {r.name: dict(r.courses) for r in group} for group in (bench.session.estimation, bench.session.validation)
+        ]
+        assert shown == [{r.name: dict(r.courses) for r in group} for group in again[:2]]
+        bench.close()
