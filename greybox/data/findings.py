@@ -22,6 +22,7 @@ class RecordCode(StrEnum):
     SENSOR_SPIKES = "sensor_spikes"
     SPIKES_LEFT_OUT = "spikes_left_out"
     SENSOR_SATURATED = "sensor_saturated"
+    CODE_FOR_MISSING = "code_for_missing"
     READING_COARSE = "reading_coarse"
     SENT_ON_CHANGE = "sent_on_change"
     ROWS_ON_CHANGE = "rows_on_change"
@@ -64,7 +65,13 @@ class RecordCode(StrEnum):
 
 
 SENSOR_FAULTS = frozenset(
-    {RecordCode.SENSOR_FROZEN, RecordCode.SENSOR_DEAD, RecordCode.SENSOR_SPIKES, RecordCode.SENSOR_SATURATED}
+    {
+        RecordCode.SENSOR_FROZEN,
+        RecordCode.SENSOR_DEAD,
+        RecordCode.SENSOR_SPIKES,
+        RecordCode.SENSOR_SATURATED,
+        RecordCode.CODE_FOR_MISSING,
+    }
 )
 TIMING = frozenset(
     {

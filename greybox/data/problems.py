@@ -155,7 +155,11 @@ def _find_time_problems(time: np.ndarray, labels: RowLabels) -> list[str]:
     replicates = (
         "of other readings at the same time make a record for each replicate (rep1.csv rep2.csv), or a second output"
     )
-    remedy = "read separate runs from separate files, or split there (shell: --split-holes)"
+    remedy = (
+        "the newest row comes first: sort the rows by their time"
+        if backwards[1:].all()
+        else "read separate runs from separate files, or split there (shell: --split-holes)"
+    )
     return [
         *_find_rows("time is repeated", repeated, labels, f"{rule}; {replicates}", time),
         *_find_rows("time goes back", backwards, labels, f"{rule}; {remedy}", time),

@@ -27,6 +27,16 @@ def inspect_signals(
     for name, values in inputs.items():
         if is_constant(values):
             yield Finding(RecordCode.INPUT_CONSTANT, subject=name, values={"value": float(values[0])})
+    for kind, signals in (("input", inputs), ("output", outputs)):
+        for name, values in signals.items():
+            if len(rows := find_code_for_missing(values)):
+                figures = {
+                    "kind": kind,
+                    "value": float(values[rows[0]]),
+                    "rows": len(rows),
+                    "start": float(time[rows[0]]),
+                }
+                yield Finding(RecordCode.CODE_FOR_MISSING, Severity.WARNING, name, figures)
     for name, values in outputs.items():
         if is_constant(values):
             value = float(values[~np.isnan(values)][0])
@@ -74,6 +84,26 @@ def _find_faults(
     for end, rows, stays in _find_saturation(values):
         figures = {"end": end, "value": float(values[rows[0]]), "rows": len(rows), "stays": stays}
         yield RecordCode.SENSOR_SATURATED, figures
+
+
+# Ranges of all other values by which one that repeats lies away from them: what a logger writes where it has no reading.
+CODE_DISTANCE = 10.0
+# Other values without which nothing is known of their range: a drive is at rest but for its pulses.
+CODE_OTHERS = 10
+
+
+def find_code_for_missing(values: np.ndarray) -> np.ndarray:
+    """Rows in which the farthest value (N,), always the same, lies so far from all others that it stands for no reading: -999, 9999."""
+    known = values[np.isfinite(values)]
+    if len(known) < CODE_OTHERS:
+        return np.zeros(0, int)
+    # The end that lies farther from the middle of the values.
+    code = max(known.min(), known.max(), key=lambda end: abs(end - np.median(known)))
+    others = known[known != code]
+    if len(others) < len(known) / 2 or abs(code - np.median(others)) <= CODE_DISTANCE * np.ptp(others):
+        return np.zeros(0, int)
+    rows = np.flatnonzero(values == code)
+    return rows if len(rows) > 1 and len(np.unique(others)) >= CODE_OTHERS else rows[:0]
 
 
 # A sensor whose readings repeat and else move by no more than so many of its steps is coarse: its noise is that of its steps.

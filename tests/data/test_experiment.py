@@ -598,3 +598,23 @@ def test_the_corner_of_a_curve_is_no_spike(every, step, noise):
     curve[2000 // every] -= 2.0
     (spikes,) = (f for f in findings_of(time, power * 1.0, curve) if f.code == RecordCode.SENSOR_SPIKES)
     assert spikes.values["count"] == 2
+
+
+@pytest.mark.parametrize("code", [-999.0, 9999.0, -99.9, 65535.0, 1e30, 9.96921e36])
+@pytest.mark.parametrize("where", [[40, 41, 42, 150, 151], [3, 200]])
+def test_a_value_far_from_all_others_that_repeats_stands_for_no_reading(code, where):
+    time, drive, answer = shaken()
+    for name, signals in (("y", (drive, answer.copy())), ("u", (drive.copy(), answer))):
+        signals[name == "y"][where] = code
+        found = [f for f in findings_of(time, *signals) if f.code == RecordCode.CODE_FOR_MISSING]
+        assert [(f.subject, f.values["value"], f.values["rows"], f.values["start"]) for f in found] == [
+            (name, code, len(where), time[where[0]])
+        ]
+
+
+def test_pulses_and_large_motion_are_no_codes():
+    time, drive, answer = shaken()
+    hammer = np.where(np.isin(np.arange(len(time)), [60, 61, 200]), 500.0, 0.0)
+    far = answer + 100.0 * (time > 3.0)  # half of the record somewhere else
+    for signals in ((hammer, answer), (drive, far), (drive, np.maximum(answer, 0.0)), (np.sign(drive), answer)):
+        assert RecordCode.CODE_FOR_MISSING not in {f.code for f in findings_of(time, *signals)}

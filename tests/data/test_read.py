@@ -875,3 +875,11 @@ def test_another_reading_at_the_same_time_is_still_asked_about(tmp_path):
         DataError, match=r"time is repeated at lines 10, 24 .*of other readings at the same time make a record for each"
     ):
         read_csv(path, _oscillator("slow", [Input("u", "V")], [Output("x", "m")]))
+
+
+def test_a_file_that_begins_with_the_newest_row_is_to_be_sorted(tmp_path):
+    path = write(tmp_path / "run.csv", ["time [s]", "u [V]", "x [m]"], [TIME[::-1], DRIVE[::-1], ANSWER[::-1]])
+    with pytest.raises(
+        DataError, match=r"time goes back at lines 3, .*the newest row comes first: sort the rows by their time"
+    ):
+        read_csv(path, _oscillator("slow", [Input("u", "V")], [Output("x", "m")]))

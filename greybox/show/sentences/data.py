@@ -132,6 +132,8 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.SENSOR_SPIKES: _spikes,
     RecordCode.SPIKES_LEFT_OUT: "{count:noun reading} of output {subject!r} that {count:jumps|jump} away and back within one row left out,"
     " as a robust loss was asked for",
+    RecordCode.CODE_FOR_MISSING: "{kind} '{subject}' is exactly {value:.6g} in {rows} rows (first at {start:.6g} s), far from all its other"
+    " values: if this stands for a missing reading, leave these fields empty",
     RecordCode.SENSOR_SATURATED: "{kind} '{subject}' reads exactly its {end} value, {value:g}, in {rows} rows and stays there"
     " {stays} times: if the sensor or the converter saturates, "
     + _LEAVE_EMPTY

@@ -17,6 +17,12 @@ GOLDEN = {
         {},
         "no column is called time or t: name it (--column time=HEADER), or give the step (--sampling-time SECONDS)",
     ),
+    RecordCode.CODE_FOR_MISSING: (
+        "x",
+        {"kind": "output", "value": -999.0, "rows": 5, "start": 2.5},
+        "output 'x' is exactly -999 in 5 rows (first at 2.5 s), far from all its other values: if this stands for a missing reading,"
+        " leave these fields empty",
+    ),
     RecordCode.ROWS_TWICE: (
         "",
         {"rows": 2, "first": "line 7"},
