@@ -471,15 +471,15 @@ class NextCommand:
         if not files:
             return self
         results = Path("results")
-        own = files[0].with_suffix("") if files[0].parent == results else files[0].parent
-        name = own.name.removesuffix(f"-{self.study.command}")
-        if own.parent == results and name != own.name:
-            usual = own.with_name(f"{name}-{self.command}")
+        written = files[0].with_suffix("") if files[0].parent == results else files[0].parent
+        name = written.name.removesuffix(f"-{self.study.command}")
+        if written.parent == results and name != written.name:
+            usual = written.with_name(f"{name}-{self.command}")
             names = (f"{usual}-{k}" for k in count(2))
         else:
             # The results of a study in a folder that somebody named: those of its model may lie in any.
             usual = next(iter(results.glob(f"*-{self.command}")), results / self.command)
-            names = (f"{own}-{self.command}{'' if k == 1 else f'-{k}'}" for k in count(1))
+            names = (f"{written}-{self.command}{'' if k == 1 else f'-{k}'}" for k in count(1))
         if not usual.is_dir() or not any(usual.iterdir()):
             return self
         return replace(self, output=next(path for path in map(Path, names) if not path.exists()))

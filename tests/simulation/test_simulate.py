@@ -90,9 +90,9 @@ def test_initial_states_are_taken_by_name() -> None:
 
 
 def test_inputs_that_are_missing_are_named() -> None:
-    with pytest.raises(DataError, match="no input 'u'"):
+    with pytest.raises(DataError, match="no column for input 'u'"):
         simulate(micro_actuator, {"time": np.arange(5.0), "U": np.zeros(5)})
-    with pytest.raises(DataError, match="no 'time'"):
+    with pytest.raises(DataError, match="no column for time"):
         simulate(micro_actuator, {"u": np.zeros(5)})
 
 
