@@ -365,6 +365,8 @@ def _find_other_courses(optimum: Optimum) -> list[Finding]:
     alone = [(odds, other) for odds, other in between if len(other.courses) == 1]
     if together and together[0][0] > max(0.0, *(odds for odds, _ in alone)) + COURSE_CONFIRMED:
         alone = together
+    # Of two courses of one input the one that fits better is said.
+    alone = [one for one in alone if one[0] >= max(odds for odds, o in alone if set(o.courses) == set(one[1].courses))]
     best = max(means, key=lambda pair: pair[0], default=None)
     # Most records hold no means: that they do is said where neither course between the rows explains them as well.
     if best and best[0] > max(COURSE_CONTRADICTED, *(odds + COURSE_CONFIRMED for odds, _ in alone), 0.0):

@@ -7,13 +7,15 @@ a `greybox.estimation.result.Fit` of either.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from greybox.base import TINY, FitError
+from greybox.base.values import with_code
+from greybox.data.findings import RecordCode
 from greybox.data.input_course import Hold, Holds
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance, estimate_covariance, estimate_likelihood_covariance
@@ -306,6 +308,7 @@ class Optimum(ABC):
             steps = 1 if isinstance(problem.kernel, PlantKernel) else 2
             seen = None if self.solution.joined else self._step_with(records, steps)
             result.append(OtherCourse({n: courses[n] for n in names}, *(seen or ())))
+        result += self._bow_straight_courses()
         # A meter writes means over the interval that ends at its row, which held from there on act late; a sensor beside it may not.
         inputs: dict[str, Hold] = dict.fromkeys([i.name for i in problem.model.inputs], "mean")
         can_be_means = (
@@ -315,6 +318,22 @@ class Optimum(ABC):
             if (means := self._read_means(hold)) and (seen := self._step_with(means)):
                 result.append(OtherCourse(hold, *seen))
         return tuple(result)
+
+    def _bow_straight_courses(self) -> Iterator[OtherCourse]:
+        """For each smooth input that was taken straight because nobody told its course, what steps with a curve through its rows give."""
+        problem = self.problem
+        if self.solution.joined or isinstance(problem.kernel, PlantKernel) or not self._can_compare:
+            return
+        for column, i in enumerate(problem.model.inputs):
+            records = tuple(
+                record.with_bowed_course(column)
+                if any(f.subject == i.name for f in with_code(e.findings, RecordCode.INPUT_TAKEN_STRAIGHT))
+                else record
+                for record, e in zip(problem.records, problem.experiments, strict=True)
+            )
+            is_bowed = any(a is not b for a, b in zip(records, problem.records, strict=True))
+            if is_bowed and (seen := self._step_with(records, 2)):
+                yield OtherCourse({i.name: "band-limited"}, *seen)
 
     @cached_property
     def _gain_by_acting_earlier(self) -> float:

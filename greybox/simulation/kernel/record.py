@@ -113,6 +113,18 @@ class Record:
         is_linear[column] = 1.0 - is_linear[column]
         return replace(self, is_linear=is_linear)
 
+    def with_bowed_course(self, column: int) -> Record:
+        """The record with one input, linear between rows, whose straight pieces have the means of a smooth curve through the rows.
+
+        Itself where the input is held, where there are rows between samples, and where these are uneven.
+        """
+        if not self.is_linear[column] or self.rows_per_sample > 1 or len(self.lengths) > 1:
+            return self
+        # The mean of a smooth u over an interval is (u_k + u_k+1)/2 - h^2 u''/12: that of a straight line through u - d2u/12.
+        u = self.u.copy()
+        u[1:-1, column] -= np.diff(self.u[:, column], 2) / 12
+        return replace(self, u=u)
+
     def with_inputs(self, u: np.ndarray, names: Sequence[str]) -> Record:
         """The record with other values (N, nu) of its inputs, which have these names."""
         return replace(self, u=u)
