@@ -241,6 +241,8 @@ def fit(
             )
             if with_effects is None and not initial:
                 begun = _search_from_neutral_effects(begun, problem, experiments, options, colour, report)
+            if not initial:
+                begun = _search_from_rest(begun, problem, experiments, options, colour, report)
             optimum = begun
             # Other starts are compared by the steps that the search took: at explicit ones a stiff model runs from few of them.
             if begun.solution.problem.step.adaptive:
@@ -496,6 +498,42 @@ def _search_from_neutral_effects(
     if again is None or ratio(again) >= ratio(begun):
         return begun
     return SimulationOptimum(model, again.solution.with_work_of(begun.solution))
+
+
+# Standard deviations of the cost of noise alone, the square root of twice the number of readings, below which nothing is left to explain.
+CHANCE_OF_COST = 4.0
+
+
+def _search_from_rest(
+    begun: SimulationOptimum,
+    problem: EstimationProblem,
+    experiments: Experiment | Sequence[Experiment],
+    options: FitOptions,
+    colour: ColourTreatment | str,
+    report: FitProgressCallback | None,
+) -> SimulationOptimum:
+    """``begun``, or the better end of a search from its constants with bodies at rest that it has set in motion from there.
+
+    A first velocity that dry friction stops within a few rows makes up for constants that are wrong at the time, and no slope leads back.
+    """
+    system, first = problem.model.system, problem.variables.initial
+    moved = [
+        system.state_names[j]
+        for j in sorted({d.state for d in system.dry})
+        if first.free[j] and not first.guess[:, j].all()
+    ]
+    is_moving = any(trace.initial_state[name] for trace in begun.traces for name in moved)
+    cost, count = begun.evaluation.cost, sum(misfit.samples for misfit in begun.misfit.values())
+    is_noise = problem.noise.is_level_known and cost <= count + CHANCE_OF_COST * np.sqrt(2 * count)
+    if begun.status is TerminationStatus.INTERRUPTED or not is_moving or is_noise:
+        return begun
+    free = [system.state_names[j] for j in np.flatnonzero(first.free)]
+    rest = [{n: 0.0 if n in moved else trace.initial_state[n] for n in free} for trace in begun.traces]
+    model = begun.model.start(**{q.name: begun.fitted_model.values[q.name] for q in begun.model.free_parameters})
+    at_rest = prepare_problem(model, experiments, problem.noise, options, initial=rest)
+    again = SimulationOptimum(begun.model, estimate_by_simulation_error(at_rest, options, colour, report))
+    before, after = (compute_ratio(end.evaluation.cost, end.misfit, problem.noise) for end in (begun, again))
+    return SimulationOptimum(begun.model, again.solution.with_work_of(begun.solution)) if after < before else begun
 
 
 def _refine_for_constants(

@@ -214,6 +214,7 @@ def test_a_run_of_a_stiff_model_is_followed_where_explicit_steps_end(name):
         np.testing.assert_allclose(run.outputs[output], problem.truth[:, column], rtol=1e-4, atol=1e-8)
 
 
+@pytest.mark.rest
 def test_a_run_that_halving_does_not_settle_is_followed():
     """Explicit steps as short as they may be went astray at the first spike, with finite numbers: 4e6 in place of 3800."""
     problem, s, q, w = PROBLEMS["Oregonator"], 98.876406, 2.8830985e-5, 91.919743
