@@ -409,6 +409,7 @@ def test_the_order_of_the_records_is_no_matter(fitted):
     assert turned.solver.cost == pytest.approx(result.solver.cost, rel=1e-6)
 
 
+@pytest.mark.rest
 def test_two_of_them_are_compared(fitted):
     case, result = fitted
     name = next(iter(case.truth))

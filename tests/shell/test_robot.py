@@ -69,6 +69,7 @@ def test_bad_input_ends_with_one_message(folder: Path, arguments: list[str], rea
     assert not (folder / "results").exists()
 
 
+@pytest.mark.rest
 def test_it_designs_the_motion_to_record_next(folder: Path) -> None:
     done = run("arm.urdf", "log.csv", "--design", "--output", "out", "--no-report")
     assert done.exit_code == 0, done.output
