@@ -456,18 +456,15 @@ def _begin_with_effects(
         begins = [*(more[k] for k in sorted(costs, key=costs.__getitem__)), *begins]
     ends: list[SimulationOptimum] = []
 
-    def ratio(end: SimulationOptimum) -> float:
-        return compute_ratio(end.evaluation.cost, end.misfit, problem.noise)
-
     for begin in (*begins[:searched], fitted):
         # The optimum without the effects is searched from only where no other start does better.
-        if begin is fitted and any(ratio(end) <= ratio(smaller) for end in ends):
+        if begin is fitted and any(_rank_end(end, problem.noise) <= _rank_end(smaller, problem.noise) for end in ends):
             continue
         other = prepare_problem(model.start(**begin), experiments, problem.noise, near, initial=initial)
         ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, near, colour, report)))
         if ends[-1].status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(ends[-1])):
             break
-    return min(ends, key=ratio)
+    return min(ends, key=lambda end: _rank_end(end, problem.noise))
 
 
 def _search_from_neutral_effects(
@@ -489,13 +486,10 @@ def _search_from_neutral_effects(
     absent = replace(problem, model=model.start(**values))
     fresh = measure_fresh_effects(absent, experiments, options, colour, report)
 
-    def ratio(end: SimulationOptimum) -> float:
-        return compute_ratio(end.evaluation.cost, end.misfit, problem.noise)
-
-    if fresh is None or ratio(fresh.plain) >= ratio(begun):
+    if fresh is None or _rank_end(fresh.plain, problem.noise) >= _rank_end(begun, problem.noise):
         return begun
     again = _begin_with_effects(absent, experiments, options, colour, report, fresh)
-    if again is None or ratio(again) >= ratio(begun):
+    if again is None or _rank_end(again, problem.noise) >= _rank_end(begun, problem.noise):
         return begun
     return SimulationOptimum(model, again.solution.with_work_of(begun.solution))
 
@@ -532,8 +526,9 @@ def _search_from_rest(
     model = begun.model.start(**{q.name: begun.fitted_model.values[q.name] for q in begun.model.free_parameters})
     at_rest = prepare_problem(model, experiments, problem.noise, options, initial=rest)
     again = SimulationOptimum(begun.model, estimate_by_simulation_error(at_rest, options, colour, report))
-    before, after = (compute_ratio(end.evaluation.cost, end.misfit, problem.noise) for end in (begun, again))
-    return SimulationOptimum(begun.model, again.solution.with_work_of(begun.solution)) if after < before else begun
+    if _rank_end(again, problem.noise) >= _rank_end(begun, problem.noise):
+        return begun
+    return SimulationOptimum(begun.model, again.solution.with_work_of(begun.solution))
 
 
 def _refine_for_constants(
@@ -712,7 +707,7 @@ def _try_other_starts(
         return float(judged.evaluate(variables)[0].cost)
 
     begins, ends = [{q.name: q.value for q in model.free_parameters}], [first]
-    ratios = [compute_ratio(first.evaluation.cost, first.misfit, problem.noise)]
+    ratios = [_rank_end(first, problem.noise)]
     best, drawn = first, 0
     for seed in range(2 if options.other_starts and not held.requested else 0):
         about = model.start(**find_scales(model, compute_cost)) if seed else model
@@ -725,7 +720,7 @@ def _try_other_starts(
             other = prepare_problem(model.start(**near[k]), experiments, problem.noise, options)
             ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, options, colour, report)))
             begins.append(near[k])
-            ratios.append(compute_ratio(ends[-1].evaluation.cost, ends[-1].misfit, problem.noise))
+            ratios.append(_rank_end(ends[-1], problem.noise))
             # Nothing is left to find where only noise that something tells is left.
             if ends[-1].status is TerminationStatus.INTERRUPTED or (
                 problem.noise.is_level_known and is_at_noise(ends[-1])
@@ -832,6 +827,11 @@ def compute_ratio(cost: float, misfit: Mapping[str, result_parts.Misfit], known:
     # Of a robust fit without its outliers: they would rank the ends by how each follows them.
     errors = {name: m.error if m.without_outliers and m.error is not None else m.rmse for name, m in misfit.items()}
     return float(np.sqrt(np.mean([(error / std[name]) ** 2 for name, error in errors.items()])))
+
+
+def _rank_end(end: SimulationOptimum, known: NoiseModel) -> float:
+    """`compute_ratio` of the end of a search."""
+    return compute_ratio(end.evaluation.cost, end.misfit, known)
 
 
 def _count_runs(problem: EstimationProblem) -> dict[str, float]:
