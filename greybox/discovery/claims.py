@@ -263,7 +263,11 @@ class Weights:
 
 
 def weigh_claims(
-    draws: Draws, alike_sites: Sequence[Sequence[str]], given: Collection[str], left: float
+    draws: Draws,
+    alike_sites: Sequence[Sequence[str]],
+    given: Collection[str],
+    left: float,
+    answer: Collection[str] = (),
 ) -> tuple[Claim, ...]:
     """The tree of claims, depth by depth, most frequent first; empty where no set could be run.
 
@@ -277,6 +281,8 @@ def weigh_claims(
         Names of the effects that the user's model holds: they are claimed by nobody.
     left
         Share of the rms error that is no noise of the set that won most often (`measure_structure`).
+    answer
+        Names of the effects of the answer: each is claimed, however seldom it wins.
     """
     if not draws.sets:
         return ()
@@ -287,7 +293,7 @@ def weigh_claims(
     names = [o.name for o in leading.candidate.model.outputs]
     context = _Context(draws, weights, forms, groups, names, left)
     missing = context.claim(Depth.MISSING, ())
-    claims = [missing] if missing else []
+    claims = [missing] if missing is not None and missing.frequency else []
     for depth, key in KEYS.items():
         keys = Counter(
             {
@@ -299,7 +305,8 @@ def weigh_claims(
             }
         )
         for value, frequency in keys.most_common():
-            if frequency >= LEAST_FREQUENCY and (made := context.claim(depth, value)):
+            is_meant = depth is Depth.NAME and value[-1] in answer
+            if (frequency >= LEAST_FREQUENCY or is_meant) and (made := context.claim(depth, value)):
                 claims.append(_hold_below(made, claims))
     return grade_claims(claims)
 
@@ -444,13 +451,13 @@ class _Context:
         return self.weights.share(self.holds(depth, value))
 
     def claim(self, depth: Depth, value: Hashable) -> Claim | None:
-        """The claim with this content; None where no winner makes it."""
+        """The claim with this content; None where no set makes it, or where it takes hardly anything."""
         holds = self.holds(depth, value)
-        frequency = self.weights.share(holds)
-        if not frequency:
+        if not any(holds):
             return None
-        totals = self.weights.totals
-        best = int(np.argmax(np.where(holds, totals, -1.0)))
+        totals, frequency = self.weights.totals, self.weights.share(holds)
+        # The set that wins most often; of those that never do, the one that leaves least.
+        best = max(np.flatnonzero(holds).tolist(), key=lambda k: (totals[k], -np.median(self.draws.errors[:, k])))
         shown = next((f for f in self.forms[best] if depth and self._says(self.forms[best], f, depth, value)), None)
         removed = {f.name for f in self.forms[best] if not depth or KEYS[depth](self.group(f), f) == value}
         share, size, output = self._share(best, removed)

@@ -148,7 +148,12 @@ def _put_usual_first(answer: SearchAnswer) -> SearchAnswer:
     if preference.finding is not None:
         preferred = _hand_over(answer, preference.candidate)
         names = set(answer.grounds.names or ()) & set(preferred.candidate.names)
-        preferred = replace(preferred, grounds=replace(answer.grounds, names=names))
+        # Each name that is said is weighed, however seldom it wins.
+        sites = answer.location.sets if answer.location else ()
+        made = weigh_claims(draws, sites, chosen.given, left, preferred.candidate.names)
+        new = set(preferred.candidate.names) - {c.name for c in answer.weighed}
+        weighed = (*answer.weighed, *(c for c in made if c.name in new))
+        preferred = replace(preferred, weighed=weighed, grounds=replace(answer.grounds, names=names))
         # Among ties that the records have made the weights may choose; they make none of their own.
         if answer.verdict is Verdict.AMBIGUOUS and preferred.verdict is not Verdict.AMBIGUOUS:
             return replace(answer, question=preference.question)
@@ -467,7 +472,8 @@ def _weigh(answer: SearchAnswer) -> SearchAnswer:
             return answer
         leading = draws.sets[Weights.of(draws).leading].candidate
         left = measure_structure(table.scores, leading, only_visible=True)
-        weighed = weigh_claims(draws, answer.location.sets if answer.location else (), leading.given, left)
+        sites = answer.location.sets if answer.location else ()
+        weighed = weigh_claims(draws, sites, leading.given, left, chosen.names)
         return replace(answer, weighed=weighed, grounds=grounds)
 
     weighed = weigh(draws)

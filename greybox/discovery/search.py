@@ -478,10 +478,15 @@ class EffectSearch:
             self.on_message(str(Finding(code, subject=names, values=values)))
 
 
-def find_named_winner(draws: Draws, plain: FittedCandidate) -> FittedCandidate:
-    """The set that wins most often among those whose effects have names, and the plain one.
+# Share of the resamples that the plain model must win to be the answer.
+PLAIN_SHARE = 0.5
 
-    A curve that wins says that no name is right: it takes no place, and leaves the names little weight.
+
+def find_named_winner(draws: Draws, plain: FittedCandidate) -> FittedCandidate:
+    """The set that wins most often among those whose effects have names, and the plain one where that wins as often as not.
+
+    A curve that wins says that no name is right: it takes no place, and leaves the names little weight. Sets that resemble each other
+    share what they win: where most resamples refuse the plain model, something is missing, however little each of them wins.
     """
     named = [s for s in draws.sets if not any(map(is_shape_correction, s.candidate.effects))]
     if not named:
@@ -490,4 +495,6 @@ def find_named_winner(draws: Draws, plain: FittedCandidate) -> FittedCandidate:
         draws = draw_sets(named)
     totals, sets = Weights.of(draws).totals, [s.candidate for s in draws.sets]
     eligible = [k for k, c in enumerate(sets) if not any(map(is_shape_correction, c.effects))]
+    if totals[[not c.effects for c in sets]].sum() < PLAIN_SHARE:
+        eligible = [k for k in eligible if sets[k].effects] or eligible
     return sets[max(eligible, key=lambda k: totals[k])] if eligible else plain
