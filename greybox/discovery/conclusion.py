@@ -56,7 +56,7 @@ from greybox.discovery.plausibility import prefer_usual
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.discovery.proposals import explain_doubt, list_detection_limits, propose_next_steps, propose_noise_check
 from greybox.discovery.proposers import add_curves_in_place, add_objections
-from greybox.discovery.residual_noise import is_level_known, is_shape_correction
+from greybox.discovery.residual_noise import has_memory, is_level_known, is_shape_correction
 from greybox.discovery.result import Discovery, RankedCandidate, quote_test_error
 from greybox.discovery.search import LEAST_PROMISE, find_named_winner
 from greybox.discovery.summary import list_law_ranges, summarise, summarise_laws
@@ -140,7 +140,8 @@ def _put_usual_first(answer: SearchAnswer) -> SearchAnswer:
     grades = {c.name: c.grade for c in answer.claims if c.name}
     # A set with memory follows whatever is left: where nobody told the noise, no record says that only noise is.
     left = max((c.left for c in answer.weighed), default=1.0)
-    is_open = left >= SOME_LEFT or not is_level_known(answer.problem.noise_model)
+    follows = any(has_memory(e) for e in chosen.model.effects if e.name in chosen.effects)
+    is_open = left >= SOME_LEFT or (follows and not is_level_known(answer.problem.noise_model))
     preference = prefer_usual(draws, chosen, search.problem.model, grades, is_open)
     if preference is None:
         return answer

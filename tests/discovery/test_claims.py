@@ -209,6 +209,23 @@ def test_the_set_that_wins_most_often_is_the_answer_unless_a_curve_wins():
     assert find_named_winner(draws((curve, 10)), plain) is plain
 
 
+def test_the_plain_model_is_no_answer_that_most_resamples_refuse_however_they_share_the_names():
+    friction, damping, stiffness = fitted("coulomb_friction"), fitted("quadratic_damping"), fitted("cubic_stiffness")
+    plain = PLAIN[0].candidate
+    shared = draws((friction, 3), (damping, 2), (stiffness, 1), (PLAIN[0], 4))
+    assert find_named_winner(shared, plain) is friction.candidate
+    assert find_named_winner(draws((friction, 3), (damping, 2), (PLAIN[0], 5)), plain) is plain
+
+
+def test_each_name_of_the_answer_is_weighed_however_seldom_it_wins():
+    seldom, often = fitted("coulomb_friction", left=2.0), fitted("cubic_stiffness")
+    won = draws((seldom, 1), (often, 9), PLAIN)
+    assert name_claim(weigh_claims(won, (), (), 0.0), "coulomb_friction") is None
+    claim = name_claim(weigh_claims(won, (), (), 0.0, {"coulomb_friction"}), "coulomb_friction")
+    assert (claim.grade, claim.frequency, claim.share) == (Grade.STAND_IN, 0.1, pytest.approx(0.9))
+    assert name_claim(weigh_claims(draws((often, 10)), (), (), 0.0, {"coulomb_friction"}), "coulomb_friction") is None
+
+
 def test_a_curve_beside_an_effect_supports_its_place_and_denies_its_name():
     claims = claims_of((fitted("coulomb_friction", curve=True), 9), (fitted("coulomb_friction"), 1))
     assert next(c for c in claims if c.depth is Depth.PLACE).frequency == 1.0
