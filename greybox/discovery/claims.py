@@ -498,6 +498,8 @@ class _Context:
         """The effects, no relatives, with which a set that is good does without this one, as often as not, by the set's number."""
         rest = Counter(f.name for f in self.forms[best]) - Counter([form.name])
         rounds = self.draws.good[:, best]
+        if not rounds.any():
+            return {}
         equals = {}
         for k, forms in enumerate(self.forms):
             others = list((Counter(f.name for f in forms) - rest).elements())

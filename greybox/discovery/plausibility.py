@@ -20,7 +20,7 @@ from greybox.discovery.decision import Grade
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.residual_noise import is_shape_correction
-from greybox.discovery.table import Draws, draw_sets
+from greybox.discovery.table import NEAR_RATIO, Draws, draw_sets
 from greybox.model import Model
 from greybox.model.effects.catalogue import AT, all_effects
 from greybox.model.parts import PARTS, RigParts, read_parts
@@ -153,7 +153,9 @@ class _Order:
                 return True
             # What takes less than the set that won is its equal with no more constants only.
             is_simple = winner is None or shares[k] >= shares[winner] or sets[k].free <= sets[winner].free
-            return self.is_open and is_simple and bool(shares[k] >= ENOUGH * best)
+            # What leaves twice as much as the best shows something that a better one explains.
+            is_near = ENOUGH * best <= shares[k] and 1 - shares[k] <= NEAR_RATIO * (1 - best)
+            return self.is_open and is_simple and bool(is_near)
 
         return [k for k in named if does_equally_well(k)]
 
