@@ -57,8 +57,6 @@ def list_candidates(
     ModelError
         For a name in ``without`` that neither ``effects`` nor the catalogue has, and where none of ``effects`` has a place.
     """
-    if names := [e for e in effects or () if isinstance(e, str)]:
-        raise ModelError(f"effects: {names[0]!r} is a name; give the effect, as in gb.effect({names[0]!r})")
     renewed = {e.name for e in beside}
     entries = (*(e for e in effects or applicable_effects(model) if e.name not in renewed), *beside)
     _check_names(without, [e.name for e in (*entries, *all_effects())])

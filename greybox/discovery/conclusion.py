@@ -138,10 +138,8 @@ def _put_usual_first(answer: SearchAnswer) -> SearchAnswer:
     usual = [fit for fit in search.table.candidates if fit.effects and set(fit.effects) <= set(search.expected)]
     draws = search.draw(RESAMPLES, (chosen, *usual))
     grades = {c.name: c.grade for c in answer.claims if c.name}
-    # A set with memory follows whatever is left: where nobody told the noise, no record says that only noise is.
     left = max((c.left for c in answer.weighed), default=1.0)
-    follows = any(has_memory(e) for e in chosen.model.effects if e.name in chosen.effects)
-    is_open = left >= SOME_LEFT or (follows and not is_level_known(answer.problem.noise_model))
+    is_open = may_leave_more(chosen, left, is_level_known(answer.problem.noise_model))
     preference = prefer_usual(draws, chosen, search.problem.model, grades, is_open)
     if preference is None:
         return answer
@@ -159,6 +157,15 @@ def _put_usual_first(answer: SearchAnswer) -> SearchAnswer:
         if answer.verdict is Verdict.AMBIGUOUS and preferred.verdict is not Verdict.AMBIGUOUS:
             return replace(answer, question=preference.question)
     return replace(preferred, usual=preference.finding, question=preference.question)
+
+
+def may_leave_more(chosen: FittedCandidate, left: float, is_noise_known: bool) -> bool:
+    """Whether a set that won may leave more than noise: it does (``left``, a share), or it follows whatever is left.
+
+    An effect with memory does that: where nobody told the noise, no record says that only noise is left. One without memory cannot.
+    """
+    follows = any(has_memory(e) for e in chosen.model.effects if e.name in chosen.effects)
+    return left >= SOME_LEFT or (follows and not is_noise_known)
 
 
 def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem) -> SearchAnswer:

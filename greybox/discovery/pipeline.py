@@ -46,7 +46,7 @@ from greybox.estimation.fit import fit as estimate
 from greybox.estimation.record_trends import shared_conditions
 from greybox.estimation.transcription.problem import TranscriptionReason, begin_with_known_past
 from greybox.model import Effect, Model
-from greybox.model.effects import Scales, all_effects
+from greybox.model.effects import Scales, all_effects, effect
 from greybox.model.effects.scales import LONGEST_DELAY
 from greybox.simulation.plant import Plant, PlantModel, as_model
 
@@ -70,7 +70,7 @@ def discover(
     beginning: int = 0,
     noise: Mapping[str, float] | None = None,
     quiet: Records = (),
-    effects: Sequence[Effect] | None = None,
+    effects: Sequence[Effect | str] | None = None,
     without: Collection[str] = (),
     options: FitOptions | None = None,
     policy: DiscoveryPolicy | None = None,
@@ -109,7 +109,7 @@ def discover(
     quiet
         Records with the input at rest, which show level and colour of the noise.
     effects
-        The only candidates, instead of the catalogue.
+        The only candidates, instead of the catalogue; names are those of the catalogue.
     without
         Names of effects that are not tried. `greybox.discovery.family_of` lists an effect with its relatives.
     options
@@ -164,6 +164,7 @@ def discover(
         learnt, judges, tests = (tuple(r.without_spikes() for r in records) for records in (learnt, judges, tests))
         options = replace(options, loss="squares")
     model = as_model(model)
+    effects = None if effects is None else [effect(e) if isinstance(e, str) else e for e in effects]
     candidates = (*(all_effects() if effects is None else effects), *beside)
     if any(isinstance(e, Effect) and e.delay and e.name not in without for e in candidates):
         # Every candidate sees the same rows: a delay must not be held against those of which nobody knows the input.

@@ -1,11 +1,15 @@
 """What objects to the usual set is looked at as well: where it does better than all before, it is the answer."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import greybox as gb
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
+from greybox.discovery.conclusion import may_leave_more
+from models.micro_actuator import micro_actuator
 
 
 def balances(x, u, p):
@@ -51,6 +55,24 @@ def record(seed, rows=700, period=5.0):
     read = np.array(runs) + 0.05 * rng.standard_normal((rows, 3))
     inputs = {"P": power, "fan": fan, "Ta": np.full(rows, 294.0)}
     return Experiment(f"run {seed}", time, inputs, {"T1": read[:, 2], "T2": read[:, 1]}, "zero")
+
+
+@pytest.mark.parametrize(
+    ("effect", "left", "is_noise_known", "expected"),
+    [
+        ("stribeck_friction", 0.0, False, False),
+        ("stribeck_friction", 0.2, True, True),
+        ("lugre_friction", 0.0, False, True),
+        ("lugre_friction", 0.0, True, False),
+    ],
+)
+def test_what_is_usual_may_take_the_place_of_what_leaves_more_than_noise_or_follows_it(
+    effect, left, is_noise_known, expected
+):
+    """Friction without memory that leaves noise of a level nobody told was taken out for what is usual, at twice its error."""
+    model = micro_actuator + gb.effect(effect)
+    chosen = SimpleNamespace(model=model, effects=(effect,))
+    assert may_leave_more(chosen, left, is_noise_known) is expected
 
 
 @pytest.mark.slow

@@ -126,6 +126,12 @@ def test_a_set_that_takes_too_little_is_no_equal():
     assert prefer(plain, draws, "reading_curve").finding is None
 
 
+def test_a_set_that_leaves_more_than_twice_as_much_is_no_equal_however_much_it_takes():
+    plain = rotor().with_parts(has=["contact"])
+    assert prefer(plain, table(plain, reading_curve=0.98, coulomb_friction=0.95), "reading_curve").finding is None
+    assert prefer(plain, table(plain, reading_curve=0.98, coulomb_friction=0.97), "reading_curve").finding is not None
+
+
 def test_a_set_that_takes_hardly_anything_answers_nothing():
     plain = rotor().with_parts(has=["contact"])
     assert prefer(plain, table(plain, coulomb_friction=0.03), "coulomb_friction") is None
