@@ -94,7 +94,7 @@ def prefer_usual(
     plain
         The plain model: it says what the rig has.
     grades
-        Name -> its grade by the records. What is established stays, and what is probable is not left out of the answer for taking little.
+        Name -> its grade by the records. What is established or probable stays in the answer.
     is_open
         Whether more than noise may be left whatever is tried: the level of the noise is not known, or the set that won leaves more.
     """
@@ -133,18 +133,14 @@ class _Order:
 
     @property
     def equal(self) -> list[int]:
-        """The sets that do equally well: every effect with a name of the catalogue, and all that is established among them."""
+        """The sets that do equally well: every effect with a name of the catalogue, and all that is probable of the answer among them."""
         sets, shares = [s.candidate for s in self.draws.sets], self.shares
         named = [
             k for k, c in enumerate(sets) if c.effects and not c.laws and not any(map(is_shape_correction, c.effects))
         ]
-        established, probable = (
-            {n for n, g in self.grades.items() if g is grade} for grade in (Grade.ESTABLISHED, Grade.PROBABLE)
-        )
-        # What takes hardly anything is no answer to what is missing.
-        named = [k for k in named if established <= set(sets[k].names) and shares[k] >= LEAST_SHARE]
-        whole = set(self.answer.names)
-        named = [k for k in named if not (set(sets[k].names) < whole and probable & (whole - set(sets[k].names)))]
+        # What the records say with more than even odds stays; what takes hardly anything is no answer to what is missing.
+        kept = {name for name, grade in self.grades.items() if grade is not Grade.STAND_IN}
+        named = [k for k in named if kept & set(self.answer.names) <= set(sets[k].names) and shares[k] >= LEAST_SHARE]
         good, best = self.draws.good.mean(axis=0), max((shares[k] for k in named), default=0.0)
         winner = next((k for k in named if sets[k].names == self.answer.names), None)
 

@@ -154,6 +154,15 @@ def test_what_the_records_have_established_stays():
     assert "reading_curve" in found.candidate.effects
 
 
+def test_what_is_probable_gives_no_place_to_what_is_more_usual():
+    """Drag that won in every resample beside slow noise of unknown level was taken out for dry friction."""
+    plain = rotor().with_parts(has=["contact"])
+    draws = table(plain, quadratic_damping=0.90, coulomb_friction=0.85)
+    for grade, expected in (("probable", "quadratic_damping"), ("stand_in", "coulomb_friction")):
+        found = prefer(plain, draws, "quadratic_damping", quadratic_damping=grade)
+        assert found.candidate.effects == (expected,)
+
+
 def test_what_is_probable_is_not_left_out_for_taking_little():
     plain = rotor().with_parts(has=["contact"])
     draws = table(plain, coulomb_friction__reading_curve=0.91, coulomb_friction=0.88)
