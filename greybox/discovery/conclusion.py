@@ -37,6 +37,7 @@ from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
     VALIDATION_SHARE,
+    VISIBLE_RMS,
     HoldoutError,
     HoldoutScores,
     RefitComparison,
@@ -140,32 +141,39 @@ def _put_usual_first(answer: SearchAnswer) -> SearchAnswer:
     grades = {c.name: c.grade for c in answer.claims if c.name}
     left = max((c.left for c in answer.weighed), default=1.0)
     is_open = may_leave_more(chosen, left, is_level_known(answer.problem.noise_model))
-    preference = prefer_usual(draws, chosen, search.problem.model, grades, is_open)
-    if preference is None:
-        return answer
-    preferred = answer
-    if preference.finding is not None:
-        preferred = _hand_over(answer, preference.candidate)
-        names = set(answer.grounds.names or ()) & set(preferred.candidate.names)
-        # Each name that is said is weighed, however seldom it wins.
-        sites = answer.location.sets if answer.location else ()
-        made = weigh_claims(draws, sites, chosen.given, left, preferred.candidate.names)
-        new = set(preferred.candidate.names) - {c.name for c in answer.weighed}
-        weighed = (*answer.weighed, *(c for c in made if c.name in new))
-        preferred = replace(preferred, weighed=weighed, grounds=replace(answer.grounds, names=names))
-        # Among ties that the records have made the weights may choose; they make none of their own.
-        if answer.verdict is Verdict.AMBIGUOUS and preferred.verdict is not Verdict.AMBIGUOUS:
+    refused: set[tuple[str, ...]] = set()
+    while True:
+        preference = prefer_usual(draws, chosen, search.problem.model, grades, is_open, refused)
+        if preference is None:
+            return answer
+        if preference.finding is None:
             return replace(answer, question=preference.question)
+        preferred = _hand_over(answer, preference.candidate)
+        # On the table its constants follow the records that judge: what does no better there with its own gives way to the next.
+        if judge_against_plain(preferred.base, preferred.best, answer.validation.uncounted):
+            break
+        refused.add(preference.candidate.names)
+    names = set(answer.grounds.names or ()) & set(preferred.candidate.names)
+    # Each name that is said is weighed, however seldom it wins.
+    sites = answer.location.sets if answer.location else ()
+    made = weigh_claims(draws, sites, chosen.given, left, preferred.candidate.names)
+    new = set(preferred.candidate.names) - {c.name for c in answer.weighed}
+    weighed = (*answer.weighed, *(c for c in made if c.name in new))
+    preferred = replace(preferred, weighed=weighed, grounds=replace(answer.grounds, names=names))
+    # Among ties that the records have made the weights may choose; they make none of their own.
+    if answer.verdict is Verdict.AMBIGUOUS and preferred.verdict is not Verdict.AMBIGUOUS:
+        return replace(answer, question=preference.question)
     return replace(preferred, usual=preference.finding, question=preference.question)
 
 
 def may_leave_more(chosen: FittedCandidate, left: float, is_noise_known: bool) -> bool:
     """Whether a set that won may leave more than noise: it does (``left``, a share), or it follows whatever is left.
 
-    An effect with memory does that: where nobody told the noise, no record says that only noise is left. One without memory cannot.
+    An effect with memory does that: where nobody told the noise, no record says that only noise is left. One without memory cannot, and
+    shows by more than the noise that the record is known to have at most.
     """
     follows = any(has_memory(e) for e in chosen.model.effects if e.name in chosen.effects)
-    return left >= SOME_LEFT or (follows and not is_noise_known)
+    return left >= SOME_LEFT or chosen.noise_ratio > VISIBLE_RMS or (follows and not is_noise_known)
 
 
 def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem) -> SearchAnswer:

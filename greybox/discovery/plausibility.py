@@ -81,7 +81,12 @@ MOST_ODDS = 100.0
 
 
 def prefer_usual(
-    draws: Draws, answer: FittedCandidate, plain: Model, grades: Mapping[str, Grade], is_open: bool
+    draws: Draws,
+    answer: FittedCandidate,
+    plain: Model,
+    grades: Mapping[str, Grade],
+    is_open: bool,
+    refused: Collection[tuple[str, ...]] = (),
 ) -> Preference | None:
     """Among the sets that do equally well the usual one, and the question that would turn that; None where nothing is to be chosen.
 
@@ -97,8 +102,10 @@ def prefer_usual(
         Name -> its grade by the records. What is established or probable stays in the answer.
     is_open
         Whether more than noise may be left whatever is tried: the level of the noise is not known, or the set that won leaves more.
+    refused
+        Names of sets that do not hold on the records that judge.
     """
-    order = _Order(draws, answer, plain, grades, is_open)
+    order = _Order(draws, answer, plain, grades, is_open, refused)
     equal = order.equal
     if not equal:
         return None
@@ -122,6 +129,7 @@ class _Order:
     plain: Model
     grades: Mapping[str, Grade]
     is_open: bool
+    refused: Collection[tuple[str, ...]]
 
     @property
     def shares(self) -> np.ndarray:
@@ -136,7 +144,9 @@ class _Order:
         """The sets that do equally well: every effect with a name of the catalogue, and all that is probable of the answer among them."""
         sets, shares = [s.candidate for s in self.draws.sets], self.shares
         named = [
-            k for k, c in enumerate(sets) if c.effects and not c.laws and not any(map(is_shape_correction, c.effects))
+            k
+            for k, c in enumerate(sets)
+            if c.effects and not c.laws and c.names not in self.refused and not any(map(is_shape_correction, c.effects))
         ]
         # What the records say with more than even odds stays; what takes hardly anything is no answer to what is missing.
         kept = {name for name, grade in self.grades.items() if grade is not Grade.STAND_IN}

@@ -71,8 +71,11 @@ def test_what_is_usual_may_take_the_place_of_what_leaves_more_than_noise_or_foll
 ):
     """Friction without memory that leaves noise of a level nobody told was taken out for what is usual, at twice its error."""
     model = micro_actuator + gb.effect(effect)
-    chosen = SimpleNamespace(model=model, effects=(effect,))
+    chosen = SimpleNamespace(model=model, effects=(effect,), noise_ratio=1.0)
     assert may_leave_more(chosen, left, is_noise_known) is expected
+    # Noise that is known to be at most so loud is no noise where more is left.
+    chosen.noise_ratio = 2.6
+    assert may_leave_more(chosen, left, is_noise_known)
 
 
 @pytest.mark.slow
