@@ -407,7 +407,7 @@ def _is_sensor(label: str) -> bool:
     return label.startswith(site_label(SiteKind.SENSOR, ""))
 
 
-Key = Callable[[tuple[str, ...], EffectForm], Hashable]
+Key = Callable[[tuple[str, ...], EffectForm], tuple[Hashable, ...]]
 
 # What a form says at each depth.
 KEYS: Mapping[Depth, Key] = {

@@ -164,8 +164,8 @@ def discover(
         learnt, judges, tests = (tuple(r.without_spikes() for r in records) for records in (learnt, judges, tests))
         options = replace(options, loss="squares")
     model = as_model(model)
-    effects = None if effects is None else [effect(e) if isinstance(e, str) else e for e in effects]
-    candidates = (*(all_effects() if effects is None else effects), *beside)
+    tried = None if effects is None else [effect(e) if isinstance(e, str) else e for e in effects]
+    candidates = (*(all_effects() if tried is None else tried), *beside)
     if any(isinstance(e, Effect) and e.delay and e.name not in without for e in candidates):
         # Every candidate sees the same rows: a delay must not be held against those of which nobody knows the input.
         delay = LONGEST_DELAY * find_usual_interval(learnt)
@@ -215,7 +215,7 @@ def discover(
                 time_limit=time_limit,
                 beside=beside,
             ),
-            effects=effects,
+            effects=tried,
             options=options,
             test=test_set,
             fitting={
@@ -259,10 +259,10 @@ def discover(
                 replace(s, records=_cut(s.records, stretch)) for s in (validation_set, test_set)
             )
         scales = _estimate_scales(problem)
-        if laws and effects is not None and not effects:  # nothing of the catalogue
+        if laws and tried is not None and not tried:  # nothing of the catalogue
             listed = list_candidates(model, scales, problem.failures, beside) if beside else CandidateList(())
         else:
-            listed = list_candidates(model, scales, problem.failures, effects, without, beside)
+            listed = list_candidates(model, scales, problem.failures, tried, without, beside)
         findings = with_code(collect_record_findings(learnt), RecordCode.ROWS_OF_PAST)
         answer = _search(problem, listed.effects, scales, validation_set, policy, on_message, further)
         if not refits.is_late and _is_to_learn(answer):
