@@ -44,7 +44,7 @@ class State:
         The value at rest: where a record begins with ``at_rest=True``, and the first guess otherwise. A number, or a function of the
         parameters (``lambda p: p.P_S / 2``).
     bounds
-        Physical limits (low, high): the equations never see the state beyond them (a tank level below zero).
+        Physical limits (low, high): a run stops at them (a tank that is empty), and the equations never see the state beyond them.
     role
         What the state is physically (``displacement``, ``velocity``, ``current``); effects ask for roles.
     description

@@ -280,12 +280,20 @@ class System:
         return parts + [update.value for update in self.updates] + [delay.seconds for delay in self.delays]
 
     @cached_property
+    def limits(self) -> tuple[tuple[int, float, float], ...]:
+        """Number, low and high limit of every state that has a finite one."""
+        bounds = enumerate(s.bounds for s in self.states)
+        return tuple((k, low, high) for k, (low, high) in bounds if low > -math.inf or high < math.inf)
+
+    @cached_property
     def linear(self) -> bool:
-        """Whether state and output equations are affine in ``x`` and ``u`` (``dx/dt = A x + B u + c``), with no state that is set."""
+        """Whether state and output equations are affine in ``x`` and ``u`` (``dx/dt = A x + B u + c``), with no state that is set or stops
+        at a limit.
+        """
         # Affine: no entry of the Jacobian over (x, u) depends on (x, u).
         xu = ca.vertcat(self.x, self.u)
         equations = ca.vertcat(self.rhs, self.outputs)
-        if self.dry or self.updates or ca.depends_on(ca.jacobian(equations, xu), xu):
+        if self.dry or self.updates or self.limits or ca.depends_on(ca.jacobian(equations, xu), xu):
             return False
         # `sign(v)` has no slope: alone it would pass for a constant.
         return not any(

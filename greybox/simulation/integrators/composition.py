@@ -1,8 +1,8 @@
 """How a substep is composed: input delay, dry friction, the smooth method, state updates.
 
 Within one substep, in this order: the input is taken as it arrives after its delay; dry friction splits the substep where the
-velocity crosses zero; each piece is one step of the smooth method (with the exponentials of relaxing states inside); at the end
-come the states that are set instead of having a rate (play, ``w+ = min(max(w, s - gap), s + gap)``).
+velocity crosses zero; each piece is one step of the smooth method (with the exponentials of relaxing states inside); a state that would
+leave its bounds stops there; at the end come the states that are set instead of having a rate (play, ``w+ = min(max(w, s - gap), s + gap)``).
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ def make_step(
     # Friction runs the smooth method on pieces of a substep, and the delay hands friction its substeps: a body may
     # stop on either side of the cut of a delayed input, and each piece has one course of the input.
     advance = split_at_standstill(system, method) if system.dry else method(make_rate_function(system))
+    advance = stop_at_bounds(system, advance)
     if system.updates:
         # Inside the delay, which hands each substep its own ends of the input: play follows the input that has
         # arrived.
@@ -49,6 +50,25 @@ def make_step(
     # Stages repeat subexpressions of the equations; without `cse` each would be an instruction of its own, with its tangent.
     whole = ca.Function("advance", [x, ua, ub, p, h], [ca.cse(advance(x, ua, ub, p, h))])
     return Step(name, whole, outputs, as_coefficients, substeps, past=past, reach=reach)
+
+
+def stop_at_bounds(system: System, advance: AdvanceFunction) -> AdvanceFunction:
+    """``advance`` with every bounded state at its bound where the substep would lead beyond it.
+
+    A tank that has run empty is empty: what it held before, and so every slope along constants, is forgotten there. The rate of a root has
+    no finite slope at its zero, which a run through it would carry on and multiply by the next.
+    """
+    if not system.limits:
+        return advance
+
+    def step(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
+        following = ca.SX(advance(x, ua, ub, p, h))
+        for k, low, high in system.limits:
+            following[k] = ca.fmax(following[k], low) if low > -ca.inf else following[k]
+            following[k] = ca.fmin(following[k], high) if high < ca.inf else following[k]
+        return following
+
+    return step
 
 
 def make_rate_function(system: System) -> ca.Function:

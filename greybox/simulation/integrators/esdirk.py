@@ -93,7 +93,7 @@ def esdirk(system: System, refinement: int = 1) -> Step:
         )
     )
     advance = ca.Function("advance", [x, ua, ub, p, h], [rk4_step(rates)(x, ua, ub, p, h)])
-    adaptive = AdaptiveRates(rates, tuple(state.unit for state in system.states), TOLERANCE)
+    adaptive = AdaptiveRates(rates, tuple(state.unit for state in system.states), TOLERANCE, system.limits)
     return Step(
         "ESDIRK4(3)", advance, system.output_function, as_coefficients, refinement, implicit=True, adaptive=adaptive
     )

@@ -55,12 +55,13 @@ class InputHistory(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveRates:
-    """What steps of any length need to know of a model: ``rates`` (x, u, p) -> dx/dt, the units of its states, and the relative error
-    of each state that a step may make."""
+    """What steps of any length need to know of a model: ``rates`` (x, u, p) -> dx/dt, the units of its states, the relative error of each
+    state that a step may make, and number, low and high of each state that stops at limits."""
 
     rates: ca.Function
     units: tuple[str, ...]
     tolerance: float
+    limits: tuple[tuple[int, float, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -366,6 +366,24 @@ EXPORT long integrate(long n, int is_even, double tolerance, const double *is_li
 #endif
             memcpy(x, stage[STAGES - 1], sizeof x);
             memcpy(k[0], k[STAGES - 1], sizeof k[0]);
+#ifdef LIMITED
+            /* A state that would leave its bounds stops there, and forgets all slopes (a tank that has run empty). */
+            int is_stopped = 0;
+            for (int i = 0; i < NX; i++)
+                if (x[i] < LOW[i] || x[i] > HIGH[i]) {
+                    x[i] = x[i] < LOW[i] ? LOW[i] : HIGH[i], is_stopped = 1;
+#ifdef NB
+                    for (int b = 0; b < NB; b++)
+                        dx[i * NB + b] = zero;
+#endif
+                }
+            if (is_stopped) {
+                rates_of(&c, x, ui[STAGES - 1], k[0]);
+#ifdef NB
+                rates_along(&c, x, dx, ui[STAGES - 1], k[0], dk[0]);
+#endif
+            }
+#endif
             set_scales(x, size, scale);
             /* Proportional and integral: errors of neighbouring steps damp one another. */
             const double growth = SAFETY * pow(fmax(wrong, 1e-10), -0.7 / ORDER) * pow(before, 0.4 / ORDER);

@@ -91,6 +91,10 @@ class AdaptiveKernel(KernelInParts):
         # The number of each state's unit.
         units = list(step.adaptive.units)
         self._units = [units.index(unit) for unit in units]
+        # Low and high limit of each state (2, nx); C has no infinite constant.
+        self._limits = np.tile([[-np.finfo(float).max], [np.finfo(float).max]], self.sizes.nx)
+        for k, low, high in step.adaptive.limits:
+            self._limits[:, k] = max(low, self._limits[0, k]), min(high, self._limits[1, k])
         self._libraries: dict[tuple[int, int], Any] = {}
         self.work = np.zeros(4, np.int64)
         """Steps, steps refused, Jacobians and factorisations so far."""
@@ -217,7 +221,7 @@ class AdaptiveKernel(KernelInParts):
             statement = " ".join(f.serialize() for f in (self._rates, self._jacobian))
             library = load_library(
                 lambda: self._write_source(width, blocks),
-                f"adaptive {statement} {key} {self.free and sorted(self.free)}",
+                f"adaptive {statement} {key} {self.free and sorted(self.free)} {self.step.adaptive.limits}",
                 is_quick=True,
             )
             function = library.integrate
@@ -242,6 +246,9 @@ class AdaptiveKernel(KernelInParts):
             constants |= {"W": width, "NB": blocks}
         arrays = {"int JACOBIAN_ROW": row, "int JACOBIAN_COLUMN": column, "double NODES": esdirk.NODES}
         arrays |= {"int UNIT": np.array(self._units), "double LESS": esdirk.LESS, "double TABLE": esdirk.TABLE.ravel()}
+        if self.step.adaptive.limits:
+            constants["LIMITED"] = 1
+            arrays |= {"double LOW": self._limits[0], "double HIGH": self._limits[1]}
         if self._elimination is not None:
             constants["ORDERED"] = 1
             arrays["int PIVOTS"] = np.array(self._elimination.order)
@@ -405,6 +412,11 @@ class _NumpyRun:
             assert stages is not None
             dx, dfirst = self._move_tangents(dx, dfirst, step, stages, inputs)
             x, first = stages[-1], rates[-1]
+            # As `greybox.simulation.integrators.composition.stop_at_bounds` has it.
+            inside = np.clip(x, *self.kernel._limits)
+            if np.any(is_stopped := inside != x):
+                x, dx[is_stopped] = inside, 0.0
+                first, dfirst = self.rates(x, inputs[-1]), self.rates_along(x, dx, inputs[-1])
             self.set_scales(x)
             growth = (
                 SAFETY * max(wrong, 1e-10) ** (-0.7 / esdirk.ERROR_ORDER) * self.before ** (0.4 / esdirk.ERROR_ORDER)
