@@ -1,8 +1,9 @@
 """How a substep is composed: input delay, dry friction, the smooth method, state updates.
 
 Within one substep, in this order: the input is taken as it arrives after its delay; dry friction splits the substep where the
-velocity crosses zero; each piece is one step of the smooth method (with the exponentials of relaxing states inside); a state that would
-leave its bounds stops there; at the end come the states that are set instead of having a rate (play, ``w+ = min(max(w, s - gap), s + gap)``).
+velocity crosses zero; each piece is one step of the smooth method (with the exponentials of relaxing states inside); a state that
+would leave its bounds stops there; at the end come the states that are set instead of having a rate (play,
+``w+ = min(max(w, s - gap), s + gap)``).
 """
 
 from __future__ import annotations

@@ -221,7 +221,7 @@ class AdaptiveKernel(KernelInParts):
             statement = " ".join(f.serialize() for f in (self._rates, self._jacobian))
             library = load_library(
                 lambda: self._write_source(width, blocks),
-                f"adaptive {statement} {key} {self.free and sorted(self.free)} {self.step.adaptive.limits}",
+                f"adaptive {statement} {key} {self.free and sorted(self.free)} {self._limits.tolist()}",
                 is_quick=True,
             )
             function = library.integrate
@@ -246,7 +246,7 @@ class AdaptiveKernel(KernelInParts):
             constants |= {"W": width, "NB": blocks}
         arrays = {"int JACOBIAN_ROW": row, "int JACOBIAN_COLUMN": column, "double NODES": esdirk.NODES}
         arrays |= {"int UNIT": np.array(self._units), "double LESS": esdirk.LESS, "double TABLE": esdirk.TABLE.ravel()}
-        if self.step.adaptive.limits:
+        if np.abs(self._limits).min() < np.finfo(float).max:
             constants["LIMITED"] = 1
             arrays |= {"double LOW": self._limits[0], "double HIGH": self._limits[1]}
         if self._elimination is not None:
