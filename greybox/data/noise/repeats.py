@@ -10,6 +10,7 @@ import numpy as np
 
 from greybox.base.numerics import FEWEST_SIEVED, NUMBERS_AT_A_TIME, PERIOD_CLOSURE, ROWS_AT_A_TIME, SIEVE_ROWS
 from greybox.data.experiment import Experiment, stack_signals
+from greybox.data.noise.noise_model import fit_autoregression, join_series
 from greybox.data.sampling import find_time_gaps
 
 # Two inputs are the same where they differ by less than this share of their range.
@@ -225,6 +226,7 @@ def find_flat_pieces(experiments: Sequence[Experiment], output: str, inputs: Seq
                 pieces.append(piece)
     columns = [e.outputs[output] for e in experiments if output in e.outputs]
     rounding = estimate_resolution(columns) / np.sqrt(12)
+    pieces = _leave_out_moving(pieces)
     counts = np.array([len(piece) - 1 for piece in pieces], float)
     if counts.sum() < FLAT_MIN_SAMPLES:
         return None
@@ -240,6 +242,37 @@ def find_flat_pieces(experiments: Sequence[Experiment], output: str, inputs: Seq
     # Pooled by degrees of freedom.
     std = float(np.sqrt(levels**2 @ counts / counts.sum()))
     return FlatPieces(tuple(pieces), float(high), std, bool(high <= FLAT_RATIO * low))
+
+
+# How seldom the loudest of pieces of one level is as much louder than the others...
+LOUD_CHANCE = 1e-4
+# ...and share of all rows that pieces which had not settled may hold: where more are loud, noise depends on what the sensor shows.
+MOST_MOVING = 0.25
+# Samples that noise may remember: beyond, a piece is loud by itself, and no autoregression of so few pieces says how seldom.
+QUIET_MEMORY = 3.0
+
+
+def _leave_out_moving(pieces: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The pieces without the few that are louder than all others by more than chance: there the plant still swung or crept."""
+    from scipy.stats import f as variance_ratio
+
+    kept = sorted(pieces, key=lambda piece: float(piece @ piece) / max(len(piece) - 1, 1))
+    most = MOST_MOVING * sum(map(len, kept))
+    while len(kept) > 2 and len(kept[-1]) <= most:
+        loudest, others = kept[-1], kept[:-1]
+        freedom, rest = len(loudest) - 1, sum(len(piece) - 1 for piece in others)
+        square = sum(float(piece @ piece) for piece in others) / rest
+        # The mean square of n samples with correlations rho_k varies as that of n / (1 + 2 sum rho_k^2) independent ones (Bartlett 1935).
+        noise = fit_autoregression(join_series(others))
+        colour = 1 + 2 * float((noise.autocorrelation(len(loudest))[1:] ** 2).sum())
+        if noise.memory > QUIET_MEMORY:
+            break
+        limit = variance_ratio.isf(LOUD_CHANCE / len(kept), freedom / colour, rest / colour)
+        if not float(loudest @ loudest) / freedom > limit * square:
+            break
+        most -= len(loudest)
+        kept = others
+    return kept
 
 
 # Different readings over all readings up to which a sensor shows codes.

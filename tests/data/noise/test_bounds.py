@@ -107,6 +107,20 @@ def test_flat_pieces_show_level_and_colour(rho):
     assert bound.correlation_time == pytest.approx(0.01 * rho / (1 - rho), abs=0.01)
 
 
+@pytest.mark.parametrize("rho", [0.0, 0.7])
+def test_a_piece_in_which_the_plant_still_swings_is_no_noise(rho):
+    """One of ten pieces, without a trend, made the noise half as loud again and gave it a colour."""
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.normal(size=10), 250)
+    noise = 1e-3 * coloured(rng, rho, len(u))
+    swing = np.zeros(len(u))
+    swing[-125:] = 4e-3 * np.sin(2 * np.pi * np.arange(125) / 50)
+    bound = bound_of(u, u + noise + swing)
+    assert bound.source is NoiseSource.FLAT_PIECES and bound.direction is BoundDirection.ABOUT
+    assert bound.level == pytest.approx(1e-3, rel=0.1)
+    assert bound.correlation_time == pytest.approx(0.01 * rho / (1 - rho), abs=0.01)
+
+
 def test_pieces_of_different_loudness_give_a_ceiling():
     rng = np.random.default_rng(3)
     u = np.repeat([0.0, 1.0, 0.0, 2.0, 1.0, 2.0], 250)
