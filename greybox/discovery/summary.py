@@ -21,6 +21,20 @@ from greybox.discovery.localisation import ResidualLocalisation
 from greybox.discovery.surrogate import Surrogate, find_missing_sites
 
 
+def _list_rest(answer: SearchAnswer) -> list[str]:
+    """Where the model of an answer leaves more than noise: ``fitted`` records, ``judging`` records, or a ``correlated`` residual."""
+    passed = {check.rule: check.passed for check in answer.rest.checks}
+    is_explained = passed.get(DiscoveryRule.HOLDOUT_EXPLAINED, True) or (
+        passed[DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED] and passed[DiscoveryRule.HOLDOUT_NOISE]
+    )
+    seen = {
+        "fitted": not (passed.get(DiscoveryRule.CLEAN_RESIDUAL, True) or passed[DiscoveryRule.SMALL_REMAINDER]),
+        "judging": passed.get(DiscoveryRule.HOLDOUT_GAP, False) and not is_explained,
+        "correlated": not passed.get(DiscoveryRule.WHITE_RESIDUAL, True),
+    }
+    return [place for place, is_seen in seen.items() if is_seen]
+
+
 def summarise(
     answer: SearchAnswer,
     alternatives: Sequence[Sequence[str]],
@@ -63,7 +77,7 @@ def summarise(
         return (Finding(DiscoveryCode.EFFECTS_TIED, subject=name, values=values), *reduced)
     if decided.verdict is Verdict.PARTLY and established:
         others = {e: grades[e] for e in effects if e not in established}
-        values = {"established": established, "others": others}
+        values = {"established": established, "others": others, "left": _list_rest(answer)}
         return (Finding(DiscoveryCode.EFFECTS_ESTABLISHED, subject=name, values=values), *reduced, *remaining)
     deepest = deepest_established(claims) if decided.verdict is Verdict.PARTLY else None
     headline: list[Finding] = []

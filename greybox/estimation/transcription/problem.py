@@ -475,7 +475,7 @@ def set_in_motion(problem: EstimationProblem, known: Collection[str] = ()) -> Es
         part, moving = replace(problem, records=records), replace(initial, guess=guess)
         before, after = (_square_errors(part, replace(variables, initial=each)) for each in (initial, moving))
         counts = np.array([np.isfinite(record.y).sum() for record in records])
-        moves = at_rest & (before - after > MOTION_GAIN * np.maximum(1.0, after / np.maximum(counts, 1)))
+        moves = at_rest & (before > after + MOTION_GAIN * np.maximum(1.0, after / np.maximum(counts, 1)))
         initial = replace(initial, guess=np.where(moves[:, None], guess, initial.guess))
         at_rest, rows = at_rest & ~moves, MORE_MOVING_ROWS * rows
     return replace(problem, variables=replace(problem.variables, initial=initial))

@@ -356,6 +356,13 @@ def _error_reduced(finding: Finding) -> str:
     )
 
 
+_REST = {
+    "fitted": "the fitted records show more than noise",
+    "judging": "the validation records show more than noise",
+    "correlated": "what is left goes on from reading to reading, which the noise does not",
+}
+
+
 @writes(DiscoveryCode.EFFECTS_ESTABLISHED)
 def _effects_established(finding: Finding) -> str:
     v = finding.values
@@ -366,7 +373,9 @@ def _effects_established(finding: Finding) -> str:
         others = [effect_title(name) for name, given in v["others"].items() if given == grade]
         if others:
             text += f"; {wording.join_names(others)} {'are' if len(others) > 1 else 'is'} {words}"
-    return f"{text}. More than that is missing, or not certain."
+    places = [_REST[place] for place in v.get("left", ())]
+    more = f"More is missing: {wording.join_names(places)}" if places else "Whether more is missing is not certain"
+    return f"{text}. {more}."
 
 
 @writes(DiscoveryCode.EFFECTS_PROBABLE)

@@ -375,10 +375,19 @@ FINDINGS = [
         Code.EFFECTS_ESTABLISHED,
         *(
             "cubic_stiffness + input_offset + backlash",
-            {"established": ["cubic_stiffness"], "others": {"input_offset": "probable", "backlash": "stand_in"}},
+            {
+                "established": ["cubic_stiffness"],
+                "others": {"input_offset": "probable", "backlash": "stand_in"},
+                "left": ["judging", "correlated"],
+            },
         ),
-        "Cubic stiffness is established; input offset is probable; backlash is only a stand-in for something else. More than that is"
-        " missing, or not certain.",
+        "Cubic stiffness is established; input offset is probable; backlash is only a stand-in for something else. More is missing: the"
+        " validation records show more than noise and what is left goes on from reading to reading, which the noise does not.",
+    ),
+    (
+        Code.EFFECTS_ESTABLISHED,
+        *("cubic_stiffness", {"established": ["cubic_stiffness"], "others": {}, "left": []}),
+        "Cubic stiffness is established. Whether more is missing is not certain.",
     ),
     (
         Code.EFFECTS_PROBABLE,
