@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.data.noise import AutoRegression, BoundDirection, NoiseModel, NoiseSource, fit_autoregression, join_series
+from greybox.data.sensor_faults import find_reading_step
 from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.surrogate_effects import CURVE, LINEAR_DYNAMICS, TONE
 from greybox.model.effect import Effect
@@ -68,6 +69,8 @@ def excess_autocorrelation(candidate: FittedCandidate, lags: int) -> float:
     """Sum of squared autocorrelations of the whitened residual over ``lags``, beyond chance, of the worst output: zero for noise."""
     worst = 0.0
     for j, series in _normalised_residuals(candidate):
+        if _is_of_steps(candidate, j, series):
+            continue
         white = candidate.problem.noise.colour[j].whiten(series)
         values = white[np.isfinite(white)]
         values = values - values.mean()
@@ -75,6 +78,20 @@ def excess_autocorrelation(candidate: FittedCandidate, lags: int) -> float:
         correlations = [float(values[k:] @ values[:-k]) / energy for k in range(1, lags + 1)] if energy > 0 else []
         worst = max(worst, sum(r * r for r in correlations) - 2 * lags / max(len(values), 1))
     return worst
+
+
+# Share of a residual's mean square from which the steps of the reading are all that is left: what correlates there is their error.
+ALL_STEPS = 0.9
+
+
+def _is_of_steps(candidate: FittedCandidate, output: int, series: np.ndarray) -> bool:
+    """Whether the residual of an output (N,), over its noise, is what the steps of its readings make: it goes on while a reading does."""
+    problem = candidate.problem
+    name = problem.model.outputs[output].name
+    readings = [e.outputs[name] for e in problem.experiments if name in e.outputs]
+    step = max((find_reading_step(values) or 0.0 for values in readings), default=0.0) / problem.noise.std[output]
+    # Rounding to steps q leaves an error that is uniform over q: q^2 / 12 (Widrow and Kollar, Quantization noise, 2008).
+    return bool(step**2 / 12 >= ALL_STEPS * np.nanmean(series**2))
 
 
 def _normalised_residuals(candidate: FittedCandidate) -> list[tuple[int, np.ndarray]]:

@@ -1,4 +1,4 @@
-"""Level and colour of the noise, and structure left in a residual, from residuals that are given: nothing is simulated."""
+"""Level and colour of the noise, and structure left in a residual, from residuals that are given, but for the last."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -6,14 +6,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import greybox as gb
 from greybox.data.noise.noise_model import AutoRegression, BoundDirection, NoiseBound, NoiseModel, NoiseSource
 from greybox.discovery import residual_noise
+from greybox.discovery.decision import EXCESS_AUTOCORRELATION
+from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.residual_noise import (
     RESIDUAL_NOISE_LONGEST_CORRELATION,
     estimate_residual_noise,
     excess_autocorrelation,
 )
 from greybox.estimation.options import EstimationPolicy
+from tests.support.stage import STAGE
 
 WHITE = AutoRegression()
 RNG = np.random.default_rng(1)
@@ -36,7 +40,7 @@ def with_residual(monkeypatch):
         monkeypatch.setattr(residual_noise, "_normalised_residuals", lambda candidate: [(0, np.asarray(series))])
         outputs = [SimpleNamespace(name="x")]
         problem = SimpleNamespace(
-            noise=model or noise(), model=SimpleNamespace(outputs=outputs), policy=EstimationPolicy()
+            noise=model or noise(), model=SimpleNamespace(outputs=outputs), policy=EstimationPolicy(), experiments=()
         )
         return SimpleNamespace(problem=problem)
 
@@ -84,3 +88,22 @@ def test_noise_leaves_no_autocorrelation_and_structure_does(with_residual):
 def test_the_colour_of_the_noise_is_no_structure(with_residual):
     model = noise(colour=AutoRegression((0.8,)))
     assert excess_autocorrelation(with_residual(coloured(), model), 30) < 0.02
+
+
+def test_what_correlates_is_no_structure_where_the_steps_of_the_reading_are_all_that_is_left():
+    """The error of an encoder goes on while its reading stays: of a slow motion it is no white noise, and no model does better."""
+    step = 0.012
+    model = (STAGE + gb.effect("coulomb_friction")).start(Fc=1.0)
+    time, rng = 5e-3 * np.arange(600), np.random.default_rng(3)
+    force = np.repeat(rng.normal(0, 6, 30), 20)
+    motion = gb.simulate(model, {"time": time, "F": force}).outputs["x"]
+
+    def measure(reading):
+        record = gb.Experiment("run", time, {"F": force}, {"x": reading})
+        problem = DiscoveryProblem(model, (record,), {"x": step / np.sqrt(12)}, (), gb.FitOptions(at_rest=True))
+        return excess_autocorrelation(problem.baseline, 30)
+
+    assert measure(step * np.round(motion / step)) == 0.0
+    # The same error beside as much again that the steps do not explain is structure.
+    slow = 0.6 * step * np.sin(2 * np.pi * time / 0.7)
+    assert measure(step * np.round((motion + slow) / step)) > EXCESS_AUTOCORRELATION
