@@ -142,6 +142,15 @@ def test_other_starts_after_a_fit_at_a_bound() -> None:
     assert next_command(study, bounded, Path("f")).spell(COMMANDS) == "greybox fit rig.py a.csv --loss huber --starts 8"
 
 
+def test_other_starts_after_a_bad_fit_with_an_effect_that_was_added():
+    """A dead zone beside the flow of a pump has two optima; a search for a second effect began at the worse one."""
+    added = parse("fit", [*FILES, "--effect", "input_dead_zone"])
+    typed = next_command(added, make_fit(), Path("f")).spell(COMMANDS)
+    assert typed == "greybox fit rig.py a.csv --effect input_dead_zone --starts 8"
+    again = parse("fit", [*FILES, "--effect", "input_dead_zone", "--starts", "8"])
+    assert next_command(again, make_fit(), Path("f")).spell(COMMANDS).startswith("greybox discover")
+
+
 def test_a_robust_loss_after_a_fit_that_glitches_swamp():
     glitched = make_fit(findings=(Finding(RecordCode.SENSOR_SPIKES, subject="w"),))
     assert (
