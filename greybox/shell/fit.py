@@ -128,8 +128,8 @@ def next_command(study: Study, result: Fit, saved: Path) -> NextCommand:
         # Readings that jump for one row swamp what the model lacks.
         if study.loss == "squares" and any(f.code == RecordCode.SENSOR_SPIKES for f in result.findings):
             return study.but(loss="huber").then("fit", *records)
-        # A constant that ended at its bound in a bad fit is as often the sign of another optimum as of a missing effect, and so is an effect
-        # that was added by name.
+        # A constant that ended at its bound in a bad fit is as often the sign of another optimum as of a missing effect, and so is a bad
+        # fit with an effect that was added by name.
         if (study.effects or any(e.at_bound for e in result.parameters.values())) and study.starts <= 1:
             return study.but(starts=8).then("fit", *records)
         return study.then("discover", *records)
