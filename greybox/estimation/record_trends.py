@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -200,7 +200,8 @@ def trend_values(trend: RecordTrend, unit: str, records: int) -> dict[str, Any]:
 SHARED_NOISE = 0.4
 # ... in its standard deviation over records that share nothing, the best of all alignments among thousands of rows.
 SHARED_DEVIATIONS = 6.0
-# Lag-one correlation up to which a residual is noise, and not what the model lacks.
+# Geometric mean of the lag-one correlations up to which two residuals may share a noise: what an incomplete model leaves of both is smooth,
+# of the share r_1 of the power of each, and correlates by sqrt(r_1a r_1b), which is below `SHARED_NOISE`. A smoothed copy has a colour.
 WHITE = 0.3
 # A residual of coarse readings is decided by the signal: records that repeat it share it.
 LEAST_STEPS = 1.0
@@ -217,10 +218,10 @@ def find_shared_noise(first: Trace, second: Trace) -> float:
     """
     shared = 0.0
     for name in first.measured.keys() & second.measured.keys():
-        residuals = [_standardise(t, name) for t in (first, second)]
-        if any(r is None for r in residuals):
+        residuals = [r for t in (first, second) if (r := _standardise(t, name)) is not None]
+        if len(residuals) < 2 or abs(residuals[0].colour * residuals[1].colour) > WHITE**2:
             continue
-        short, dense = sorted((r for r in residuals if r is not None), key=len)
+        short, dense = sorted((r.values for r in residuals), key=len)
         for factor in {1, round(len(dense) / len(short))}:
             rows = len(dense) // factor
             whole = dense[: rows * factor].reshape(rows, factor).mean(axis=1) * np.sqrt(factor)
@@ -233,18 +234,28 @@ def find_shared_noise(first: Trace, second: Trace) -> float:
     return shared
 
 
-def _standardise(trace: Trace, name: str) -> np.ndarray | None:
-    """What the model leaves of an output (N,) with variance one, its gaps at zero; None where that is no white noise."""
+class _Residual(NamedTuple):
+    """What the model leaves of an output: ``values`` (N,) with variance one, gaps at zero, and the lag-one correlation of those between."""
+
+    values: np.ndarray
+    colour: float
+
+
+def _standardise(trace: Trace, name: str) -> _Residual | None:
+    """What the model leaves of an output; None where the steps of its readings decide it."""
     residual = trace.residual(name)[:COMPARED_ROWS]
     known = np.isfinite(residual)
     if not known.any():  # its run fails at once
         return None
-    values, levels = residual[known] - residual[known].mean(), np.unique(trace.measured[name][:COMPARED_ROWS][known])
+    levels = np.unique(trace.measured[name][:COMPARED_ROWS][known])
+    # Cut before anything is measured of it: one glitch moves the mean, is most of the power and makes any colour look white.
+    values = residual[known] - np.median(residual[known])
+    deviation = 1.4826 * np.median(np.abs(values))
+    values = np.clip(values, -CUT_DEVIATIONS * deviation, CUT_DEVIATIONS * deviation)
+    values -= values.mean()
     power = float(np.mean(values**2))
     if not (len(levels) > 1 and power > (LEAST_STEPS * np.diff(levels).min()) ** 2):
         return None
-    if abs(np.mean(values[1:] * values[:-1])) > WHITE * power:
-        return None
-    whole, deviation = np.zeros(len(residual)), 1.4826 * np.median(np.abs(values))
-    whole[known] = np.clip(values, -CUT_DEVIATIONS * deviation, CUT_DEVIATIONS * deviation)
-    return whole / np.sqrt(np.mean(whole**2))
+    whole = np.zeros(len(residual))
+    whole[known] = values
+    return _Residual(whole / np.sqrt(np.mean(whole**2)), float(np.mean(values[1:] * values[:-1])) / power)

@@ -62,6 +62,30 @@ def test_a_copy_is_known_by_its_noise(copy):
     assert "cannot validate" in str(judged)
 
 
+@pytest.mark.parametrize("count", [1, 4, 12])
+@pytest.mark.parametrize("cube", [0.0, 0.05, 0.5], ids=["noise", "incomplete", "wrong"])
+def test_single_glitches_make_no_copy(cube, count):
+    """The most of the power of each residual lies in a few rows, of their own in each record."""
+    rng = np.random.default_rng(3)
+    u, clean = measure(cube)
+    records = []
+    for name in "abc":
+        y = clean + NOISE * rng.normal(size=ROWS)
+        y[rng.choice(ROWS, count, replace=False)] += 30.0 * rng.choice([-1.0, 0.7], count)
+        records.append(record(name, u, y))
+    assert not shared(gb.fit(lag(), records[:2], validation=records[2:], options=gb.FitOptions(loss="huber")))
+
+
+def test_a_copy_is_known_under_glitches_of_its_own():
+    rng = np.random.default_rng(1)
+    u, clean = measure()
+    y = clean + NOISE * rng.normal(size=ROWS)
+    copies = [np.where(np.arange(ROWS) % 80 == at, y + 30.0, y) for at in (11, 57)]
+    assert shared(
+        gb.fit(lag(), [record(n, u, c) for n, c in zip("ab", copies, strict=True)], options=gb.FitOptions(loss="huber"))
+    )
+
+
 @pytest.mark.parametrize(("cube", "step"), [(0.0, 0.0), (0.05, 0.0), (0.0, 0.1)], ids=["noise", "incomplete", "coarse"])
 def test_a_repeated_experiment_is_another_measurement(cube, step):
     rng = np.random.default_rng(2)
