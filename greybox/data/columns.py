@@ -21,7 +21,7 @@ from greybox.data.headers import LONGEST_HEADER, TIME, Column, UnitSource, parse
 from greybox.data.notation import WORDS, converts, is_count, read_conversion, read_notation
 from greybox.data.policy import ReadingPolicy
 from greybox.data.problems import RowLabels, enumerate_first
-from greybox.data.stamps import Stamps, from_digits
+from greybox.data.stamps import MISSING, Stamps, from_digits
 from greybox.model import Model
 
 # A file as named columns that are turned into numbers only when asked for.
@@ -268,7 +268,8 @@ class ColumnMatch:
     """Signals with their columns in the model's order, headers not asked for, outputs without a column, problems.
 
     ``unmeasured``: output -> header of the spare column that its unit fits, "" where there is none or several.
-    ``conversions`` turn the numbers of a column into the model's unit; ``unit_problems`` say where no unit is known.
+    ``conversions`` turn the numbers of a column into the model's unit; ``unit_problems`` say where no unit is known. ``clocks``: columns
+    that would be the time if their numbers count up, of rows with a known sampling time.
     """
 
     columns: Mapping[RequestedSignal, Column]
@@ -277,6 +278,7 @@ class ColumnMatch:
     unmeasured: Mapping[str, str]
     problems: tuple[str, ...]
     unit_problems: tuple[str, ...]
+    clocks: tuple[Column, ...] = ()
 
     @property
     def unitless(self) -> tuple[RequestedSignal, ...]:
@@ -473,15 +475,7 @@ def match_columns(
     for signal in signals:
         if signal.name in mapping:
             continue
-        hits = [c for c in free if _is_for(c, signal)]
-        if not hits and signal.kind is SignalKind.TIME:
-            hits = find_dated_time(free, table)
-        hits = hits or [
-            reading
-            for c in free
-            for reading in read_endings(c)
-            if reading.known is UnitSource.NAME and _is_for(reading, signal) and converts(reading.unit, signal.unit)
-        ]
+        hits = find_times(free, table) if signal.kind is SignalKind.TIME else _find_named(free, signal)
         if hits:
             matched[signal] = hits[0]
         else:
@@ -493,14 +487,17 @@ def match_columns(
             )
     used = {c.position for c in matched.values()}
     spare = [c for c in columns if c.position not in used and c.header]
+    clocks: list[Column] = []
     if has_clock:
-        times = [repr(shorten(c.header)) for c in free if _is_for(c, clock)]
-        times += [repr(mapping[TIME])] if TIME in mapping else []
-        if times:
+        if times := find_times(free, table):
+            problems.append(describe_second_time(times[0]))
+        elif TIME in mapping:
             problems.append(
-                f"the file has a time column, {times[0]}, and a sampling time is given; leave one of them out"
-                " (sampling_time; shell: --sampling-time)"
+                f"columns maps time to {mapping[TIME]!r}, and a sampling time is given; leave one of them out (sampling_time; shell:"
+                " --sampling-time)"
             )
+        else:
+            clocks = find_likely_times(free, table)
     elif table.headless and not mapping:
         raise DataError(
             f"line {table.header_line} holds numbers where the header should be; begin the file with a line of names and units"
@@ -534,12 +531,62 @@ def match_columns(
         },
         tuple(problems),
         tuple(doubts),
+        tuple(clocks),
+    )
+
+
+def _find_named(columns: Sequence[Column], signal: RequestedSignal) -> list[Column]:
+    """The columns with the name of a signal, or else those that say it together with a unit of the signal: ``t in ms``."""
+    return [c for c in columns if _is_for(c, signal)] or [
+        reading
+        for c in columns
+        for reading in read_endings(c)
+        if reading.known is UnitSource.NAME and _is_for(reading, signal) and converts(reading.unit, signal.unit)
+    ]
+
+
+def find_times(columns: Sequence[Column], table: DataTable) -> list[Column]:
+    """The columns that are taken for the time unless something else is told: by their name, or else by their dates."""
+    by_name = [c for c in columns if c.is_time]
+    return (
+        by_name or find_dated_time(columns, table) or _find_named(columns, RequestedSignal(SignalKind.TIME, TIME, "s"))
+    )
+
+
+def find_likely_times(columns: Sequence[Column], table: DataTable) -> list[Column]:
+    """The columns that are the time if their numbers count up: those of dates, and those whose name or unit is that of a time."""
+    times = ((c, c if c.position in table.dated else read_time(c)) for c in columns if c.header)
+    return [time for _, time in times if time is not None]
+
+
+# Share of the steps of a clock that go up at least, of those that are not zero: it may start anew for a further run.
+COUNTING_UP = 0.9
+
+
+def counts_up(values: np.ndarray | Stamps) -> bool:
+    """Whether the values (N,) of a column are those of a clock, which a duration (``cycle_time``) is not."""
+    if isinstance(values, Stamps):
+        values = np.where(values.nanoseconds == MISSING, np.nan, values.nanoseconds.astype(np.float64))
+    steps = np.diff(values[np.isfinite(values)])
+    return bool(np.any(steps)) and float(np.mean(steps[steps != 0] > 0)) >= COUNTING_UP
+
+
+def describe_second_time(column: Column) -> str:
+    """Message for a time column of rows that have a sampling time: one of the two is left out, and only the user knows which."""
+    signal = RequestedSignal(SignalKind.TIME, TIME, "s")
+    # One that only looks like the time by its ending is not taken before somebody says so.
+    how = f" and {_explain_mapping(signal, column)}" if column.known is UnitSource.ENDING else ""
+    return (
+        f"the file has a time column, {shorten(column.header)!r}, and a sampling time is given, which would take its place; leave out"
+        f" sampling_time (shell: --sampling-time){how}, or, to count the rows instead, leave out the column: '-' in its place among"
+        " the names of all columns, columns=['-', 'u', ...] (shell: --columns=-,u,...)"
     )
 
 
 def find_dated_time(columns: Sequence[Column], table: DataTable) -> list[Column]:
     """The only column of dates, which is the time whatever it is called; those with a time of day go first. None of several."""
-    dated = [c for c in columns if table.dated.get(c.position)] or [c for c in columns if c.position in table.dated]
+    wanted = [c for c in columns if c.header]
+    dated = [c for c in wanted if table.dated.get(c.position)] or [c for c in wanted if c.position in table.dated]
     return dated if len(dated) == 1 else []
 
 

@@ -24,6 +24,8 @@ from greybox.data.columns import (
     ColumnMatch,
     RequestedSignal,
     SignalKind,
+    counts_up,
+    describe_second_time,
     find_stamp_unit,
     match_columns,
     read_before,
@@ -34,7 +36,7 @@ from greybox.data.data_frame import Frame, is_frame, open_frame
 from greybox.data.experiment import MAX_DELAY_ROWS, UNNAMED, Experiment
 from greybox.data.file_kinds import RecordFile, open_record_file
 from greybox.data.findings import RecordCode
-from greybox.data.headers import TIME
+from greybox.data.headers import TIME, Column
 from greybox.data.input_course import (
     CourseEvidence,
     Hold,
@@ -97,8 +99,8 @@ def read_csv(
         ``{"time [ms]": "millis"}``. Or the names of all columns in their order, for a file without a header or a matrix:
         ``["time [ms]", "u", "-", "x"]``, with ``-`` for a column that is not wanted.
     sampling_time
-        Seconds between rows, for a file without a time column; for a file whose signals have stamps of their own, the step of the
-        time base that they are brought to, in the place of the stamps of the fastest.
+        Seconds between rows, for a file without a time column (one that is there is refused); for a file whose signals have stamps of
+        their own, the step of the time base that they are brought to, in the place of the stamps of the fastest.
     hold
         How the inputs move between samples, all or by name, see `Experiment`.
     interpolation
@@ -325,6 +327,7 @@ def read_arrays(
     except DataError as error:
         raise DataError(f"{file.path.name}: {error}") from None
     raise_problems(file.path.name, match.problems and (*match.problems, *match.unit_problems))
+    raise_problems(file.path.name, _find_second_time(file, match.clocks))
     named = {**(hold if isinstance(hold, Mapping) else {}), **(interpolation or {})}
     common: Hold = "auto" if isinstance(hold, Mapping) else hold
     inputs, outputs = [i.name for i in model.inputs], [o.name for o in model.outputs]
@@ -399,6 +402,16 @@ def read_arrays(
         start,
         before,
     )
+
+
+def _find_second_time(file: RecordFile, clocks: Sequence[Column]) -> list[str]:
+    """A problem where one of the columns that may be the time of rows with a sampling time is a clock by its values."""
+    for column in clocks:
+        position = column.position
+        held = file.values([position], [position])
+        if not held.problems and counts_up(held.stamps.get(position, held.arrays.get(position, np.zeros(0)))):
+            return [describe_second_time(column)]
+    return []
 
 
 def _read_runs(

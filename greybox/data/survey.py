@@ -25,7 +25,16 @@ from greybox.base import (
     parse_unit,
 )
 from greybox.data import array_table, channels, file_kinds, policy, sampling, sensor_faults
-from greybox.data.columns import WITHOUT_MARKS, find_dated_time, find_likely_unit, find_stamp_unit, measure_step
+from greybox.data.columns import (
+    WITHOUT_MARKS,
+    counts_up,
+    describe_second_time,
+    find_likely_times,
+    find_likely_unit,
+    find_stamp_unit,
+    find_times,
+    measure_step,
+)
 from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME, Column, UnitSource, parse_header, read_endings, read_time
 from greybox.data.notation import COUNT, converts, read_conversion, read_notation
@@ -148,7 +157,7 @@ def survey_file(
     columns
         Signal -> header of its column, or its number counted from 1, where its name or unit is another one.
     sampling_time
-        Seconds between rows, for a file without a time column.
+        Seconds between rows, for a file without a time column; one that is there is refused.
     reading
         How large it may be.
 
@@ -160,7 +169,7 @@ def survey_file(
     Raises
     ------
     DataError
-        For a file that cannot be read, and a column that it does not have.
+        For a file that cannot be read, a column that it does not have, and a time column beside a sampling time.
     """
     file = file_kinds.open_record_file(path, policy=reading)
     if names is not None:
@@ -189,8 +198,8 @@ def _read_header(header: str, position: int, renamed: Mapping[str, str]) -> Colu
 def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, renamed: Mapping[str, str]) -> FileSurvey:
     table = file.table
     columns = [_read_header(h, k, renamed) for k, h in enumerate(table.headers)]
-    named = [c for c in columns if c.is_time] or find_dated_time(columns, table)
-    clock = next(iter(named), None) or next(filter(None, map(read_time, columns)), None)
+    times = find_times(columns, table)
+    clock = next(iter(times), None) or next(filter(None, map(read_time, columns)), None)
     arrays: dict[int, np.ndarray] = {}
     stamps: dict[int, Stamps] = {}
     findings: list[Finding] = []
@@ -211,6 +220,13 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, rena
                     continue
                 about = {"count": count, "rows": rows, "reason": values.problems[0]}
                 findings.append(Finding(RecordCode.COLUMN_WITH_TEXT, Severity.WARNING, columns[k].header, about))
+    if sampling_time:
+        held: dict[int, np.ndarray | Stamps] = {**arrays, **stamps}
+        likely_times = [c for c in find_likely_times(columns, table) if c.position in held]
+        times = times or [c for c in likely_times if counts_up(held[c.position])]
+        if times:
+            raise DataError(f"{file.path.name}: {describe_second_time(times[0])}")
+        clock = None
     rows = max((len(a) for a in arrays.values()), default=0)
     time: np.ndarray | None = None
     if clock is not None and clock.position in arrays:
@@ -243,7 +259,7 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, rena
             columns[clock.position] = clock = replace(clock, unit="s")
         except DataError as error:
             findings.append(Finding(RecordCode.TIME_UNUSABLE, Severity.WARNING, values={"reason": str(error)}))
-    elif clock is None and sampling_time:
+    elif sampling_time:
         time = sampling_time * np.arange(rows)
     if time is not None and (twice := find_repeats(time, arrays.values())).any():
         counts = {"rows": int(twice.sum()), "first": table.row_labels.describe(np.flatnonzero(twice)[:1])}

@@ -15,6 +15,7 @@ from scipy.sparse import csc_array
 from greybox.base.errors import DataError
 from greybox.data.findings import RecordCode
 from greybox.data.read import read_csv
+from greybox.data.survey import survey_file
 from greybox.extensions.formats.mat_file import read_mat
 from greybox.shell.project import find_model
 from greybox.simulation.simulate import read_inputs
@@ -81,6 +82,50 @@ def test_a_time_column_and_a_sampling_time_contradict_each_other(tmp_path):
     for bad in (0.0, -1.0, float("inf"), float("nan")):
         with pytest.raises(DataError, match="sampling_time"):
             read_csv(path, RIG, sampling_time=bad)
+
+
+DATES = pd.Timestamp("2026-03-12 08:00:05") + pd.to_timedelta(TIME, unit="s")
+CLOCKS = {
+    "t in ms": 1e3 * TIME,
+    "time_ms": 1e3 * TIME,
+    "millis": 1e3 * TIME,
+    "Zeit": TIME,
+    "elapsed time since start (s)": np.round(TIME),
+    "timestamp": 1.7e9 + TIME,
+    "Zeitstempel": DATES.strftime("%d.%m.%Y %H:%M:%S.%f"),
+    "logged": DATES.strftime("%H:%M:%S.%f"),
+}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".xlsx"])
+@pytest.mark.parametrize("header", CLOCKS)
+def test_whatever_counts_the_time_is_not_overridden_by_a_sampling_time(tmp_path, header, suffix):
+    frame = pd.DataFrame({"u": DRIVE, header: CLOCKS[header], "x": ANSWER})
+    path = tmp_path / f"run{suffix}"
+    frame.to_csv(path, index=False) if suffix == ".csv" else frame.to_excel(path, index=False)
+    clash = f"a time column, {re.escape(repr(header))}, and a sampling time is given"
+    for source in (path, frame, frame.set_index(header)):
+        for read in (read_csv, read_inputs):
+            with pytest.raises(DataError, match=clash):
+                read(source, RIG, sampling_time=0.1)
+    with pytest.raises(DataError, match=clash):
+        survey_file(path, sampling_time=0.1)
+    same(read_csv(path, RIG, sampling_time=0.1, columns=["u", "-", "x"]), tolerance=1e-12)
+
+
+def test_an_index_without_a_name_and_two_columns_of_dates_are_a_time_as_well():
+    rows = {"u": DRIVE, "x": ANSWER}
+    for index in (DATES, DATES - DATES[0], pd.Index(TIME)):
+        with pytest.raises(DataError, match="a time column, 'time', and a sampling time"):
+            read_csv(pd.DataFrame(rows, index=index), RIG, sampling_time=0.1)
+    with pytest.raises(DataError, match="a time column, 'utc', and a sampling time"):
+        read_csv(pd.DataFrame({"utc": DATES, "local": DATES + pd.Timedelta("1h"), **rows}), RIG, sampling_time=0.1)
+
+
+def test_what_only_looks_like_a_time_gives_way_to_the_sampling_time():
+    cycle = 1 + 0.1 * np.random.default_rng(1).normal(size=N)
+    other = {"sample": np.arange(N), "cycle_time_ms": cycle, "dead time [s]": 0.1, "time of test": "morning"}
+    same(read_csv(pd.DataFrame({**other, "u": DRIVE, "x": ANSWER}), RIG, sampling_time=0.1), tolerance=1e-15)
 
 
 COMMENTED = {
