@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
+from typing import NamedTuple
 
 from greybox.base import ModelError
 from greybox.base.units import KNOWN, LONG, SPELLINGS, parse_powers
@@ -179,6 +180,51 @@ def read_time(column: Column) -> Column | None:
         if (words & _TIME_WORDS or not reading.name) and (not reading.unit or converts(reading.unit, "s")):
             return reading
     return None
+
+
+# Rows, or lines, above a table in which its header is looked for.
+HEADER_LINES = 60
+# Rows of numbers, one after the other, with which a table begins: one alone may state a date or a setting above it.
+FIRST_ROWS = 3
+
+
+class TableHead(NamedTuple):
+    """Where a table begins, by the numbers of its rows from 0: the row of names, those of texts below it, the first of values."""
+
+    names: int
+    below: tuple[int, ...]
+    first: int
+
+
+def find_table_head(rows: Sequence[Sequence[str | None]]) -> TableHead | None:
+    """The header of a table below a title: the first of the fullest rows of texts above the rows of values, or the one above its units.
+
+    ``rows``: the first ones of a file, whose cells are texts, "" where nothing is, and None for a value. None without such rows.
+    """
+    values = [sum(cell is None for cell in row) for row in rows]
+    filled = [sum(cell != "" for cell in row) for row in rows]
+    are_rows = [2 * count > total for count, total in zip(values, filled, strict=True)]
+    texts = [total if not count else 0 for count, total in zip(values, filled, strict=True)]
+    if not any(are_rows):  # a table of words with few numbers
+        are_rows = [bool(count) and any(texts[:k]) for k, count in enumerate(values)]
+    start = next(
+        (k for k in range(len(rows)) if all(are_rows[k : k + FIRST_ROWS])), are_rows.index(True) if any(are_rows) else 0
+    )
+    if not any(texts[:start]):
+        return None
+    names = texts.index(max(texts[:start]))
+    # An index has a unit, and often no name.
+    if names and is_row_of_units([str(cell) for cell in rows[names]]) and 2 * texts[names - 1] > texts[names]:
+        names -= 1
+    # The rows below the names begin with the first value, though they may be damaged, or hold words.
+    first = next(k for k in range(names + 1, len(rows)) if values[k])
+    return TableHead(names, tuple(k for k in range(names + 1, first) if filled[k]), first)
+
+
+def is_row_of_units(fields: Sequence[str]) -> bool:
+    """Whether texts below a row of names are their units: more than half of them."""
+    stated = [word for field in fields if (word := field.strip("[](){} "))]
+    return 2 * sum(word == "-" or is_notation(word) for word in stated) > len(stated)
 
 
 def join_units(names: Sequence[str | None], units: Sequence[str | None]) -> list[str | None]:

@@ -31,8 +31,7 @@ from greybox.data.columns import (
     find_open_points,
     is_gap,
 )
-from greybox.data.headers import join_units
-from greybox.data.notation import is_notation
+from greybox.data.headers import HEADER_LINES, find_table_head, is_row_of_units, join_units
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
 from greybox.data.stamps import StampReader, Stamps, is_stamp
@@ -42,7 +41,6 @@ BLANKS = ""  # separator: any run of blanks
 SEPARATORS = (";", "\t", ",", BLANKS)
 NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|inf|infinity|nan)", re.IGNORECASE)
 _SEPARATOR_LINE = re.compile(r'"?sep=(?P<separator>.|\\t)"?', re.IGNORECASE)
-_BETWEEN_WORDS = re.compile(r"[;,\s]+")
 # Blanks separate, but not those before or inside the brackets of a unit: time [s]  p_a [kPa].
 _BLANK_HEADER = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:\s*[\[(][^\])]{0,100}[\])])?")
 _BLANK_FIELD = re.compile(r"\"[^\"]*\"|\S+")
@@ -207,8 +205,6 @@ class TextTable:
 MOST_COMMENTS = 1000
 # Lines on which the separator is decided.
 SEPARATOR_LINES = 20
-# Lines in which the first row of numbers is looked for, to find a header that is not the first line.
-HEADER_LINES = 60
 
 
 def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
@@ -241,13 +237,14 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
     headless, has_units = is_named or _holds_numbers(headers), False
     if not headless:
         below = split_header(first[skipped + 1], separator) if len(first) > skipped + 1 else []
-        has_units = _is_row_of_units(below, len(headers))
         labelled = _name_by_labels(headers, below)
+        if not labelled and (placed := _find_header(first[skipped:], stated, rows[skipped : len(first)], path.name)):
+            skipped, separator = skipped + placed[0], placed[1]
+            headers, header_line = split_header(first[skipped], separator), int(rows[skipped])
+            below = split_header(first[skipped + 1], separator)
+        has_units = not labelled and _holds_units(below, headers)
         if has_units:
             headers = [str(header) for header in join_units(headers, below)]
-        misplaced = describe_misplaced_header(first[skipped:], list(map(int, rows[skipped : len(first)])))
-        if misplaced and not (has_units or labelled):
-            raise DataError(f"{path.name}: {misplaced}")
         headers = labelled or headers
         skipped += 0 if labelled else 1 + has_units
     else:
@@ -387,40 +384,47 @@ def read_separator_line(line: str) -> str | None:
     return match["separator"].replace("\\t", "\t") if match else None
 
 
-def describe_misplaced_header(lines: Sequence[str], numbers: Sequence[int]) -> str:
-    """What instruments put between the first of ``lines`` and the rows of numbers, with the remedy; "" where nothing is.
+def _find_header(
+    lines: Sequence[str], stated: str | None, numbers: Sequence[int] | np.ndarray, name: str
+) -> tuple[int, str] | None:
+    """Which of ``lines`` is the header where others stand above it, and the separator, ``stated`` or that of the rows; None for the first.
 
-    ``numbers``: line of the file of each, counted from 1. Only lines that hold something are given.
+    ``numbers``: line of the file of each, counted from 1. Raises DataError where a line between header and rows is neither.
     """
-    plain = [line.replace('"', "") for line in lines]
-    first = next((k for k, line in enumerate(plain) if _is_row_of_numbers(line)), 0)
-    if first < 2 or _is_value(_split_words(plain[first - 1])[0]):
-        return ""
-    header, number = plain[first - 1], numbers[first - 1]
-    if len(_split_words(plain[0])) == len(_split_words(header)):
-        return ""
-    before = f"the {first - 1} lines" if first > 2 else "the line"
-    return f"line {number} looks like the header ({shorten(header)}); delete {before} before it, or begin them with '#'"
+    last = lines[-SEPARATOR_LINES:]
+    separator = stated or _guess_separator(last[-1], last[:-1])
+    fields = [split_header(line, separator) for line in lines]
+    columns = Counter(map(len, fields[-SEPARATOR_LINES:])).most_common(1)[0][0]
+    # A title has another number of fields, unless a spreadsheet fills them up with empty ones; the header may lack a last separator.
+    for counts in ((columns,), (columns - 1, columns + 1)):
+        rows = [list(map(_to_word, row)) if len(row) in (columns, *counts) else [""] for row in fields]
+        if (head := find_table_head(rows)) is not None:
+            break
+    else:
+        return None
+    odd = [k for k in head.below[1:] or head.below if not _holds_units(fields[k], fields[head.names])]
+    if odd:
+        raise DataError(
+            f"{name}: line {numbers[head.names]} looks like the header ({shorten(lines[head.names])}), and line {numbers[odd[0]]}"
+            f" below it holds neither its units nor numbers ({shorten(lines[odd[0]])}); delete the one that does not belong to the"
+            " table, or begin it with '#'"
+        )
+    return (head.names, separator) if head.names else None
 
 
-def _split_words(line: str) -> list[str]:
-    return [word for word in _BETWEEN_WORDS.split(line.strip()) if word] or [""]
+def _to_word(field: str) -> str | None:
+    """A field as a cell of `find_table_head`; a dash may be a unit."""
+    if _is_value(field.replace(",", ".")):
+        return None
+    return "" if field != "-" and is_gap(field) else field
 
 
-def _is_row_of_numbers(line: str) -> bool:
-    """Whether more than half of a line's words are numbers, dates or times of day."""
-    words = _split_words(line)
-    return 2 * sum(map(_is_value, words)) > len(words)
-
-
-def _is_row_of_units(fields: Sequence[str], columns: int) -> bool:
-    """Whether the line below a header of ``columns`` names holds their units: no number, no gap, and mostly units."""
-    words = [field.strip("[](){} ") for field in fields]
-    stated = [word for word in words if word]
-    if len(words) != columns or any(NUMBER.fullmatch(word) or word in GAPS[1:] for word in stated):
-        return False
-    known = sum(word == "-" or is_notation(word) for word in stated)
-    return 2 * known > len(stated)
+def _holds_units(fields: Sequence[str], headers: Sequence[str]) -> bool:
+    """Whether the line below the ``headers`` holds their units; a title above names has no such line."""
+    words = [_to_word(field.strip("[](){} ")) for field in fields]
+    texts = [word for word in words if word]
+    is_full = len(fields) == len(headers) and None not in words and 2 * sum(map(bool, headers)) > len(texts)
+    return is_full and is_row_of_units(texts)
 
 
 def _guess_separator(header: str, body: Sequence[str]) -> str:

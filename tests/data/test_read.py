@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
+import openpyxl
 import pandas as pd
 import pytest
 from hypothesis import given
@@ -392,20 +393,67 @@ def test_quoted_headers_and_fields_between_blanks(tmp_path):
     same(read_csv(tmp_path / "run.dat", RIG))
 
 
+TITLES = {
+    "instrument": ["Oscilloscope 3000", "Serial;123", "", "time [s],u [V],x [m],i [A]"],
+    "a comma in it": ["Rig 2, 3 May", "time [s],u [V],x [m],i [A]"],
+    "filled up by a spreadsheet": ["Rig 2;;;", "time [s];u [V];x [m];i [A]"],
+    "a date": ["Rig 2", "Start 12.03.2026 08:00:05", "time [s]\tu [V]\tx [m]\ti [A]"],
+    "settings": ["Gain;2.0;;", "Limits;-1;1;", "time [s];u [V];x [m];i [A]"],
+    "units below": ["Messprotokoll Anlage 3", "time;u;x;i", "s;V;m;A"],
+    "some units below": ["Messprotokoll Anlage 3;;;", "time;u;x;i", ";V;m;A"],
+    "units below an index without a name": ["Messprotokoll Anlage 3", "time,u,x,i", "[s],[V],[m],[A]"],
+    "names that look like units": ["Rig 2;;;", "t;u;x;i", "s;V;m;A"],
+    "between the lines": ["Rig 2", "", "time u x i", "", "s V m A"],
+    "a separator line": ["sep=;", "Rig 2;;;", "time;u;x;i", "s;V;m;A"],
+}
+
+
+@pytest.mark.parametrize("ending", ["", "later"])
+@pytest.mark.parametrize("first", TITLES.values(), ids=TITLES)
+def test_a_title_above_the_header_is_passed_over_in_texts_and_sheets_alike(tmp_path, first, ending):
+    separator = next(s for s in (";", "\t", ",", " ") if s in first[-1].replace(" [", "["))
+    table = np.column_stack([TIME, DRIVE, ANSWER, CURRENT]).tolist()
+    lines = [separator.join(map(repr, row)) for row in table]
+    (tmp_path / "run.csv").write_text("\n".join([*first, *([""] if ending else []), *lines]), encoding="utf-8")
+    same(read_csv(tmp_path / "run.csv", RIG))
+    book = openpyxl.Workbook()
+    for line in first:
+        if not line.startswith("sep="):
+            cells = line.replace(" [", "[").split(separator) if separator == " " else line.split(separator)
+            book.active.append([_to_cell(cell) for cell in cells])
+    for row in table:
+        book.active.append(row)
+    book.save(tmp_path / "run.xlsx")
+    sheet = read_csv(tmp_path / "run.xlsx", RIG)
+    values = np.column_stack([sheet.time, *sheet.inputs.values(), *sheet.outputs.values()])
+    np.testing.assert_allclose(values, table, rtol=1e-14)  # a workbook holds so many digits
+
+
+def _to_cell(text: str) -> str | float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return text or None
+
+
 @pytest.mark.parametrize(
     ("first", "message"),
     [
         (
-            ["Oscilloscope 3000", "Serial;123", "", "time [s],u [V],x [m],i [A]"],
-            "line 4 looks like the header (time [s],u [V],x [m],i [A]); delete the 2 lines before it, or begin them with '#'",
+            ["Rig 2", "time;u;x;i", "left;right;above;below"],
+            "line 2 looks like the header (time;u;x;i), and line 3 below it holds neither its units nor numbers",
         ),
-        (["Rig 2, 3 May", "time [s],u [V],x [m],i [A]"], "line 2 looks like the header"),
+        (
+            ["Rig 2;3 May;hall 4;north", "time;u;x;i"],
+            "line 1 looks like the header (Rig 2;3 May;hall 4;north), and line 2",
+        ),
+        (["Rig 2", "time;u;x;i;"], "the header ends with ';'"),
     ],
 )
-def test_what_stands_around_the_header_is_named_with_the_remedy(tmp_path, first, message):
-    _, *rows = good(tmp_path / "run.csv").read_text().splitlines()
-    (tmp_path / "run.csv").write_text("\n".join([*first, *rows]))
-    with pytest.raises(DataError, match=re.escape(f"run.csv: {message}")):
+def test_lines_that_may_be_the_header_or_not_are_named_with_the_remedy(tmp_path, first, message):
+    lines = [";".join(map(repr, row)) for row in np.column_stack([TIME, DRIVE, ANSWER, CURRENT]).tolist()]
+    (tmp_path / "run.csv").write_text("\n".join([*first, *lines]))
+    with pytest.raises(DataError, match=re.escape(message)):
         read_csv(tmp_path / "run.csv", RIG)
 
 

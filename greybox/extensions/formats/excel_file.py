@@ -6,6 +6,7 @@ import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +23,12 @@ from greybox.data.columns import (
     find_dated_time,
     find_decimal_signs,
     find_open_points,
+    is_gap,
     raise_limit,
 )
 from greybox.data.file_kinds import FileFormat
 from greybox.data.findings import RecordCode
-from greybox.data.headers import join_units, parse_header
+from greybox.data.headers import HEADER_LINES, find_table_head, join_units, parse_header
 from greybox.data.notation import read_conversion
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
@@ -173,23 +175,26 @@ def _read_clock(sheet: _Sheet) -> Timeline:
 def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
     """The first block of a sheet: headers, then rows until one is empty. None where there is none."""
     rows = iter(page.iter_rows(values_only=True))
-    head: Sequence[Any] | None = None
-    for number, row in enumerate(rows, 1):
-        texts = sum(isinstance(cell, str) and bool(cell.strip()) for cell in row)
-        # A row whose texts are all numbers is one of numbers, whatever their marks mean.
-        kept_as_text = texts and all(
-            THOUSANDS.fullmatch(cell.strip()) or None not in read_cells([cell]) for cell in row if isinstance(cell, str)
-        )
-        values = sum(_is_value(cell) for cell in row) + (texts if kept_as_text else 0)
-        # A row of texts alone is one of headers; the fuller one counts, and a shorter one below it holds units.
-        if texts and not values and texts == sum(cell is not None for cell in row):
-            if head is None or texts > sum(c is not None for c in head):
-                head = row
-                continue
-            head = join_units(head, row)
-        elif head is not None and values:
-            return _read_block(page.title, head, row, rows, policy, _find_percents(page, number, len(head)))
-    return None
+    ahead = list(islice(rows, HEADER_LINES))
+    place = find_table_head([list(map(_to_word, row)) for row in ahead])
+    if place is None:
+        return None
+    head = ahead[place.names]
+    for k in place.below:
+        head = join_units(head, ahead[k])
+    following = chain(ahead[place.first + 1 :], rows)
+    percents = _find_percents(page, place.first + 1, len(head))
+    return _read_block(page.title, head, ahead[place.first], following, policy, percents)
+
+
+def _to_word(cell: Any) -> str | None:
+    """A cell as `find_table_head` takes it: numbers and dates kept as text are values, whatever their marks mean."""
+    text = cell.strip() if isinstance(cell, str) else ""
+    if _is_value(cell) or THOUSANDS.fullmatch(text):
+        return None
+    if is_gap(text):
+        return text if text == "-" else ""
+    return text if read_cells([text]) == [None] else None
 
 
 def _find_percents(page: Any, first: int, columns: int) -> set[int]:
