@@ -176,8 +176,9 @@ class ModelCheck(Printable, StoredResult):
 
     @property
     def complete(self) -> bool:
-        """Whether every free constant is determined, by the structure and by the records."""
-        structure_complete = self.structure is None or self.structure.complete
+        """Whether every free constant is determined, by the structure or what is known beforehand, and by the records."""
+        has_prior = any(q.prior is not None for q in self.model.free_parameters)
+        structure_complete = self.structure is None or self.structure.complete or has_prior
         return structure_complete and not self.failure and all(c.determined for c in self.constants.values())
 
     @property

@@ -98,7 +98,7 @@ def _next(study: Study, survey: FileSurvey) -> NextCommand | None:
     return None
 
 
-USED = (*options.ESTIMATING, *options.INTEGRATING, Study.outputs)
+USED = (*options.ESTIMATING, *options.INTEGRATING, Study.priors, Study.schedules, Study.process_noise, Study.outputs)
 LOOKED_AT = (Study.model, Study.estimation, Study.columns, Study.headers, Study.sampling_time, Study.read_limit)
 UNUSED = tuple(option for option in USED if option not in LOOKED_AT)
 

@@ -13,7 +13,8 @@ import pytest
 from click.testing import Result
 
 from greybox.estimation.findings import EstimationCode
-from greybox.shell.commands import app
+from greybox.shell.commands import COMMANDS, app
+from greybox.shell.options import FITTING, IN_MODEL
 from greybox.simulation.simulate import write_csv
 from tests.support.command import CliRunner
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, with_gaps
@@ -147,3 +148,39 @@ def test_what_cannot_be_is_refused_in_one_message(run: Run, tmp_path: Path, opti
     assert message in result.stderr
     assert result.stderr.count("error:") == 1 and "Traceback" not in result.output
     assert list(tmp_path.iterdir()) == []
+
+
+GAINS = """
+from greybox import Balance, Input, Model, Output, Parameter, State
+
+lag = Model(
+    "lag", [State("x", "K")], [Input("u", "K")], [Output("x", "K")],
+    [Parameter("T", "s", 1.0, (0.01, 100.0)), Parameter("K1", "1", 2.0, (0.01, 100.0)), Parameter("K2", "1", 3.0, (0.01, 100.0))],
+    lambda x, u, p: [Balance("heat", "K", p.T, "x", loss=-x.x, drive=p.K1 * p.K2 * u.u)],
+)
+"""
+
+
+def test_a_check_counts_what_is_known_beforehand_and_hands_it_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("lag.py").write_text(GAINS)
+    called = [
+        CliRunner().invoke(app, ["check", "lag.py", *more, "--no-report"]) for more in ([], ["--prior", "K1=2+-0.02"])
+    ]
+    assert [result.exit_code for result in called] == [0, 0], called
+    assert "K1 and K2 stay open" in called[0].output.replace("\n", " ")
+    # Of the product alone the record says something: the prior, in its own digits, is all that is known of one factor.
+    data = json.loads(Path("results/lag-check/check.json").read_text())["data"]
+    assert data["constants"]["K1"]["std"] == pytest.approx(0.02, rel=1e-6)
+    assert data["constants"]["K2"]["std"] / 3 == pytest.approx(0.01, rel=0.05)
+    assert not any(constant["averaged"] for constant in data["constants"].values())
+    assert "priors_count" in [f["code"] for f in data["findings"]]
+    assert "fix one of" not in called[1].output
+    assert "--prior K1=2.0+-0.02" in called[1].output.partition("next:")[2]
+
+
+def test_a_check_takes_every_option_of_a_fit_that_makes_its_model() -> None:
+    taken = {option.name for option in COMMANDS["check"].options}
+    assert {option.name for option in IN_MODEL if option in FITTING} <= taken

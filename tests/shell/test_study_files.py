@@ -138,7 +138,7 @@ def test_a_check_ignores_what_only_a_fit_needs_and_says_so(run: Run, data: Path,
     )
     result = run("check", "study.toml", "--no-report")
     assert result.exit_code == 0, result.output
-    assert result.stderr == "note: study.toml: a check does not use [records] skip, [priors]\n"
+    assert result.stderr == "note: study.toml: a check does not use [records] skip\n"
 
 
 HEAD = 'model = "micro_actuator"\n[records]\nestimation = ["a.csv"]\n'
@@ -185,7 +185,7 @@ HEAD = 'model = "micro_actuator"\n[records]\nestimation = ["a.csv"]\n'
         ),
         (
             HEAD + "[discover.process_noise]\nv = 0.1",
-            "[discover.process_noise]: greybox discover does not use it, fit and compare do",
+            "[discover.process_noise]: greybox discover does not use it, fit, compare and check do",
         ),
         ("[records]\nestimation = ['a.csv']", 'study.toml: model is missing; name one, as in model = "micro_actuator"'),
         ('model = "micro_actuator"', "study.toml: [records] estimation is missing; name records"),

@@ -63,7 +63,7 @@ class PracticalIdentifiability:
     Parameters
     ----------
     constants
-        Free constants by name.
+        Free constants by name; as in a fit, what priors say of them counts.
     rank
         Combinations that show above the noise.
     averaged
@@ -189,17 +189,22 @@ def analyse_problem(
     # Schur complement: initial states are estimated with the constants.
     information = (eliminate(constants_and_states, np.arange(n), first_states) @ constants_and_states)[:, :n]
     samples = evaluation.count / max(len(list_measured_outputs(problem)), 1)
+    # What each output says in one row; a prior is not averaged, it holds its 1 / std^2 in one row as in all.
+    known = np.diag(variables.penalty(variables.here)[2] / 2)
+    of_one_row = (information - known) / samples + known
     values, vectors = np.linalg.eigh(information)
     # Standard deviation along each eigenvector of the information, in relative changes of the constants.
     stds = 1 / np.sqrt(np.maximum(values, TINY))
     widest = MAX_RELATIVE_INTERVAL
     # Over the noise of single samples, and after averaging over all of them.
-    shown, reached = stds * np.sqrt(samples) < widest, INTERVAL_STDS * stds < widest
+    shown = 1 / np.sqrt(np.maximum(np.linalg.eigvalsh(of_one_row), TINY)) < widest
+    reached = INTERVAL_STDS * stds < widest
     rank, averaged = int(shown.sum()), int((reached & ~shown).sum())
     total = rank + averaged
     above, by_averaging = _choose_combinations(problem, structure, information, samples, total)
     # Formulas that account for everything say it better than directions of length one, which mix them.
-    rank = len(above) if len(above) + len(by_averaging) == total else max(rank, len(above))
+    is_told_by_formulas = len(above) + len(by_averaging) == total and not variables.has_prior.any()
+    rank = len(above) if is_told_by_formulas else max(rank, len(above))
     averaged = total - rank
     missing = structure.count - structure.rank if structure else 0
     weakest = {
@@ -207,8 +212,11 @@ def analyse_problem(
         for name, w in zip(variables.names, vectors[:, min(missing, n - 1)], strict=True)
         if abs(w) > DIRECTION_WEIGHT
     }
-    constants = _estimate_precision(problem, information, samples)
+    constants = _estimate_precision(problem, information, of_one_row)
     findings: list[Finding] = []
+    if variables.has_prior.any():
+        given = [name for name, has_prior in zip(variables.names, variables.has_prior, strict=True) if has_prior]
+        findings.append(Finding(IdentifiabilityCode.PRIORS_COUNT, values={"constants": given}))
     if structure and total < structure.rank:
         sensors = _find_telling_sensors(problem, options, total)
         shortfall = {
@@ -254,9 +262,10 @@ def _find_telling_sensors(problem: EstimationProblem, options: FitOptions, least
 
 
 def _estimate_precision(
-    problem: EstimationProblem, information: np.ndarray, samples: float
+    problem: EstimationProblem, information: np.ndarray, of_one_row: np.ndarray
 ) -> dict[str, ExpectedPrecision]:
     variables = problem.variables
+    single = np.diag(decompose_symmetric(of_one_row).pseudo_inverse)
     decomposition = decompose_symmetric(information)
     variance = np.where(decomposition.is_open, np.inf, np.diag(decomposition.pseudo_inverse))
     constants = {}
@@ -269,7 +278,8 @@ def _estimate_precision(
         std = float(np.sqrt(variance[k]) * abs(variables.spans[k]))
         share = std / abs(value) if value else 0.0
         determined = INTERVAL_STDS * share <= MAX_RELATIVE_INTERVAL
-        averaged = bool(share * np.sqrt(samples) > MAX_RELATIVE_INTERVAL)
+        of_one = float(np.sqrt(single[k]) * abs(variables.spans[k]))
+        averaged = bool(value) and of_one > MAX_RELATIVE_INTERVAL * abs(value)
         constants[name] = ExpectedPrecision(value, unit, std, determined, averaged)
     return constants
 

@@ -43,6 +43,7 @@ class IdentifiabilityCode(StrEnum):
 
     RECORDS_SHOW_FEWER = "records_show_fewer"
     AVERAGING_ONLY = "averaging_only"
+    PRIORS_COUNT = "priors_count"
     NO_FREE_CONSTANT = "no_free_constant"
     MODEL_OVERFLOWS = "model_overflows"
     SIMULATED_RECORD = "simulated_record"

@@ -45,7 +45,9 @@ def describe_check(check: ModelCheck, *, command: str = "") -> doc.Document:
     names = join_names([q.name for q in check.model.free_parameters]) or "the parameters"
     # Doubtful sensors, what any record leaves open and the remedy, what is known of these records, effects with a place.
     notes, structure = _faults(check), check.structure
-    if structure is not None and not structure.complete:
+    # What any record leaves open is no news where priors close it.
+    is_open = not check.practical.constants or bool(check.practical.undetermined)
+    if structure is not None and not structure.complete and is_open:
         notes.append(describe_verdict(structure))
         notes += [f"remedy: {sentence(remedy)}" for remedy in structure.recommendations]
     notes += [*check.other_answers, *tables.worst_first(check.practical.findings)]
@@ -144,7 +146,11 @@ def _answer(check: ModelCheck) -> str:
     shares = {n: c.std / abs(c.value) for n, c in check.constants.items() if c.determined and c.std and c.value}
     worst = max(shares, key=shares.__getitem__, default="")
     reach = f" to {percent_text(shares[worst], 2)} or better ({worst})" if worst else ""
-    records = "A record such as this one determines" if check.assumed else "These records determine"
+    records = "A record such as this one" if check.assumed else "These records"
+    if any(q.prior is not None for q in check.model.free_parameters):
+        records += " and what is known beforehand determine"
+    else:
+        records += " determines" if check.assumed else " determine"
     count = len(check.constants) - len(open_ones)
     if not open_ones:
         which = "every free parameter" if check.complete else "each parameter only by averaging the noise"

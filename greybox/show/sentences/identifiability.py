@@ -118,6 +118,8 @@ register(
         ),
         IdentifiabilityCode.AVERAGING_ONLY: "{averaged} of {total} combinations are determined only by averaging the noise, which requires"
         " white noise and a model error far below the noise: do not rely on them",
+        IdentifiabilityCode.PRIORS_COUNT: "the expected standard deviations count what is known of {constants:list} beforehand; what the"
+        " records determine without it, the check without the prior says",
         IdentifiabilityCode.NO_FREE_CONSTANT: "no parameter is free: nothing to determine",
         IdentifiabilityCode.MODEL_OVERFLOWS: "at the start values, the model overflows on {subject} after {time:.3g} s; set other values"
         " with --start",

@@ -63,6 +63,12 @@ GOLDEN = {
         "1 of 3 combinations are determined only by averaging the noise, which requires white noise and a model error far below"
         " the noise: do not rely on them",
     ),
+    IdentifiabilityCode.PRIORS_COUNT: (
+        "",
+        {"constants": ["K", "M"]},
+        "the expected standard deviations count what is known of K, M beforehand; what the records determine without it, the check"
+        " without the prior says",
+    ),
     IdentifiabilityCode.OTHER_ANSWER: (
         "",
         TWIN | {"told_by": ["depot"], "count": 1},
