@@ -270,6 +270,8 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, rena
     elif time is not None and (problems := find_stamp_problems(Samples(time, time))):
         findings.append(Finding(RecordCode.TIME_UNUSABLE, Severity.WARNING, values={"reason": problems[0]}))
         time = None
+    elif time is not None and (gap := sampling.find_longest_time_gap(time)) is not None:
+        findings.append(gap)
     signals = []
     used = {TIME}
     for k, column in enumerate(columns):

@@ -267,7 +267,7 @@ def test_doubtful_sensors_and_holes_are_said_without_a_model(tmp_path: Path) -> 
     survey = survey_file(tmp_path / "run.csv")
     uses = {s.header: (s.use, s.gaps) for s in survey.signals}
     assert uses == {"time [s]": ("time", 1), "valve [V]": ("input", 1), "x [mm]": ("output", 1), "k": ("constant", 1)}
-    assert [(str(f.code), f.subject) for f in survey.findings] == [("sensor_frozen", "x [mm]")]
+    assert [(str(f.code), f.subject) for f in survey.findings] == [("time_gap", ""), ("sensor_frozen", "x [mm]")]
 
 
 # --- what belongs to each signal

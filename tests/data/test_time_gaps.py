@@ -127,6 +127,17 @@ def test_every_command_refuses_the_guess_and_writes_nothing(run, torn, tmp_path,
     assert not (tmp_path / "results").exists()
 
 
+def test_a_check_says_of_a_hole_what_a_fit_will_say(run, tmp_path):
+    """A linear model with a slow input runs through it; a fit of another one, or of a livelier record, will not."""
+    slow = linear_record(micro_actuator, np.sin(np.pi * PERIOD * np.arange(2000)), PERIOD)
+    for rows, is_long in ((130, True), (10, False)):
+        write_csv(without(slow, slice(800, 800 + rows)), micro_actuator, tmp_path / "run.csv")
+        for words in (["run.csv"], ["micro_actuator", "run.csv", "--fix", "Ra=8", "--no-report"]):
+            text = re.sub(r"\s+", " ", run("check", *words).stdout)
+            assert "time has a gap from 0.19975" in text and "--split-holes" in text
+            assert ("with its 130 missing rows it is refused" in text) == is_long
+
+
 def test_the_option_splits_and_says_so(run, torn):
     result = run(
         "check", "micro_actuator", torn, "--fix", "Ra=8", "--split-holes", "--at-rest", "--no-report", "--details"

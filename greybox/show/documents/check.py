@@ -10,7 +10,7 @@ from greybox.base import document as doc
 from greybox.base.document import Document, Later, TableBlock
 from greybox.base.texts import LINE_WIDTH
 from greybox.data.experiment import collect_record_findings
-from greybox.data.findings import is_sensor_fault
+from greybox.data.findings import RecordCode, is_sensor_fault
 from greybox.estimation.check import ModelCheck
 from greybox.model import equations_text
 from greybox.model.effects.catalogue import AT
@@ -44,7 +44,7 @@ def describe_check(check: ModelCheck, *, command: str = "") -> doc.Document:
     """What is said of a check; ``command`` is what was typed."""
     names = join_names([q.name for q in check.model.free_parameters]) or "the parameters"
     # Doubtful sensors, what any record leaves open and the remedy, what is known of these records, effects with a place.
-    notes, structure = _faults(check), check.structure
+    notes, structure = [*_faults(check), *_gaps(check)], check.structure
     # What any record leaves open is no news where priors close it.
     is_open = not check.practical.constants or bool(check.practical.undetermined)
     if structure is not None and not structure.complete and is_open:
@@ -133,6 +133,12 @@ def _faults(check: ModelCheck) -> list[doc.Text]:
     return [
         _about_record(finding) for finding in collect_record_findings(check.experiments) if is_sensor_fault(finding)
     ]
+
+
+def _gaps(check: ModelCheck) -> list[doc.Text]:
+    """Holes in the time of the records: another model, or a fit, may refuse what this check has run through."""
+    about_records = collect_record_findings(check.experiments)
+    return [_about_record(finding) for finding in about_records if finding.code is RecordCode.TIME_GAP]
 
 
 def _answer(check: ModelCheck) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from greybox.base import Finding
 from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
 from greybox.base.texts import to_word
+from greybox.data.experiment import LONG_GAP_ROWS
 from greybox.data.findings import RecordCode
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.data.problems import enumerate_first
@@ -59,6 +60,18 @@ def _time_gap(finding: Finding) -> str:
     return (
         f"time has {what} from {v['start']:.6g} to {v['stop']:.6g} s (usual step {v['usual_step']:.6g} s): the input is assumed to"
         " continue through it"
+    )
+
+
+def _what_is_refused(finding: Finding) -> str:
+    """What a simulation says of a long gap, as `refuse_unknown_input` and `refuse_long_time_gaps` do."""
+    v = finding.values
+    rows = round((v["stop"] - v["start"]) / v["usual_step"]) - 1
+    if rows < LONG_GAP_ROWS:
+        return ""
+    return (
+        f"; with its {rows} missing rows it is refused where the input moves by much in such a time, and by a nonlinear model, which is"
+        " integrated in steps"
     )
 
 
@@ -166,7 +179,7 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.TIME_ROUNDED: "time is rounded: steps from {shortest:.6g} to {longest:.6g} s differ by at most one unit of the last digit;"
     " a uniform step of {sampling_time:.6g} s is assumed",
     RecordCode.TIME_GAP: lambda f: (
-        f"{_time_gap(f)}; split the record there with split_at_time_gaps() (shell: --split-holes)"
+        f"{_time_gap(f)}{_what_is_refused(f)}; split the record there with split_at_time_gaps() (shell: --split-holes)"
     ),
     RecordCode.INPUT_HELD_THROUGH_GAP: _time_gap,
     RecordCode.TIME_ROWS_MISSING: "{rows} rows are missing in {places} places (usual step {usual_step:.6g} s): the input is assumed to"

@@ -228,8 +228,9 @@ GOLDEN = {
     RecordCode.TIME_GAP: (
         "",
         GAP,
-        "time has 2 gaps, the longest from 10 to 40.5 s (usual step 0.5 s): the input is assumed to continue through it; split the record"
-        " there with split_at_time_gaps() (shell: --split-holes)",
+        "time has 2 gaps, the longest from 10 to 40.5 s (usual step 0.5 s): the input is assumed to continue through it; with its 60"
+        " missing rows it is refused where the input moves by much in such a time, and by a nonlinear model, which is integrated in"
+        " steps; split the record there with split_at_time_gaps() (shell: --split-holes)",
     ),
     RecordCode.INPUT_HELD_THROUGH_GAP: (
         "",
