@@ -41,7 +41,9 @@ def build_model(study: Study) -> Model:
 
 
 def find_plain_model(study: Study, holder: str = "model") -> Model:
-    """The model of a study as it is declared: the one for which the study was written. ``holder``: the option that names it.
+    """The model of a study as it is declared: the one for which the study was written; or as it was fitted, where a fit names it.
+
+    ``holder``: the option that names it.
 
     Raises
     ------
@@ -52,6 +54,8 @@ def find_plain_model(study: Study, holder: str = "model") -> Model:
     """
     from greybox.shell.project import find_model
 
+    if result := find_result(getattr(study, holder)):
+        return load_fitted_model(result, study.command)
     model = find_model(getattr(study, holder))
     insist = "" if holder not in study.from_file else f"insist on this one (--model {to_word(getattr(study, holder))})"
     if lines := hold_against(model, study.definition, _list_given(study), str(study.file), insist):
@@ -380,6 +384,32 @@ def load_fit_with_model(path: Path, model: str = "") -> Fit:
     fit = restore_fit(data, find_model_of(path, data["model"], model, data["effects"]), str(path), insist=bool(model))
     print_findings([f for f in fit.findings if f.code in (ResultCode.OTHER_MODEL, ResultCode.OTHER_CONSTANT)])
     return fit
+
+
+def find_result(named: str) -> Path | None:
+    """The fit.json that stands in the place of a model, itself or by its folder; None for anything else."""
+    path = Path(named)
+    if path.suffix == ".json" and path.is_file():
+        return path
+    return path / "fit.json" if named and (path / "fit.json").is_file() and not [*path.glob("*.py")] else None
+
+
+def load_fitted_model(path: Path, command: str) -> Model:
+    """The model of the fit in ``path`` with the fitted values. Raises ModelError, with what to type, where it is not found by its name."""
+    from greybox.base import read_json
+    from greybox.estimation.result import Fit
+
+    try:
+        return load_fit_with_model(path).model
+    except ModelError:
+        data = read_json(path, Fit)
+        effects = [f"--effect {name}" for name in data["effects"]]
+        estimates = data["parameters"].items()
+        values = [f"--{'fix' if e['fixed'] else 'start'} {name}={e['value']:.9g}" for name, e in estimates]
+        typed = " ".join(("greybox", command, f"{data['model']}.py", *effects, *values))
+        raise ModelError(
+            f"{path}: its model {data['model']!r} is not found by its name (greybox models); give its file, and these values: {typed}"
+        ) from None
 
 
 def describes_discovery(path: Path) -> bool:

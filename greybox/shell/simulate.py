@@ -11,7 +11,7 @@ from greybox.base import ExitCode, GreyboxError
 from greybox.shell import inputs, options
 from greybox.shell.study import Answer, Command, Idle, Needs, Study
 from greybox.shell.study_values import Numbers
-from greybox.shell.terminal import exit_with_error, print_note, write_report
+from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note, write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 def simulate(study: Study) -> Answer:
     """Simulate MODEL with the inputs of a file or with a test signal, and write a CSV file that greybox fit reads.
 
-    A test signal drives the first input; the other inputs are zero. The simulation starts at the initial state of the model.
+    A test signal drives the first input; the other inputs are zero. The simulation starts at the initial state of the model, unless
+    --initial or --settled says otherwise. A fit, its fit.json or its folder, can stand in the place of MODEL: it has the fitted values.
     With --output FILE.csv, also writes FILE.html, a report with the run, the states and the equations.
 
     Exit code 0: done. 1: the simulation overflows or leaves a --limit, nothing was written. 2: bad input, nothing was written.
@@ -46,6 +47,7 @@ def simulate(study: Study) -> Answer:
         gap = find_longest_time_gap(experiment.time, code=RecordCode.INPUT_HELD_THROUGH_GAP)
         if gap is not None:
             print_note(f"note: {experiment.source}: {gap}")
+        _say_where_it_begins(plant, study)
     else:
         experiment = _signal(plant, chosen, study, generator)
     run = simulate_model(
@@ -71,11 +73,32 @@ def simulate(study: Study) -> Answer:
         SimulationAnswer(run, plant, added),
         lambda report: _as_json(run, target, report),
         [target],
-        next=study.then("fit", study.model, target, holds=options.IN_RECORD) if plant.free_parameters else "",
+        # What was simulated to be seen, with the inputs of a file, is a prediction: a fit to it would find the model again.
+        next=study.then("fit", study.model, target, holds=options.IN_RECORD)
+        if plant.free_parameters and study.input is None
+        else "",
         page=(lambda: write_report(run, target.with_suffix(".html"), model=plant, noise=added))
         if study.output
         else None,
     )
+
+
+# States that are named where a run begins.
+NAMED_STATES = 6
+
+
+def _say_where_it_begins(plant: Model, study: Study) -> None:
+    """Say from which state a run with the inputs of a file begins, where nobody has chosen it."""
+    from greybox.base import Finding, format_unit
+    from greybox.simulation.simulate import declared_initial_state
+
+    states = [s for s in plant.all_states if s.name not in study.initial]
+    if study.settled or not states:
+        return
+    begin = dict(zip((s.name for s in plant.all_states), declared_initial_state(plant, study.initial), strict=True))
+    named = [f"{s.name} = {begin[s.name]:.4g} {format_unit(s.unit)}".rstrip() for s in states]
+    listed = ", ".join(named[:NAMED_STATES]) + f" and {len(named) - NAMED_STATES} more" * (len(named) > NAMED_STATES)
+    print_findings([Finding(CommandCode.STARTS_AS_DECLARED, subject=states[0].name, values={"states": listed})])
 
 
 def _as_json(run: Simulation, target: Path, report: Path | None) -> str:
@@ -178,6 +201,7 @@ SIMULATE = Command(
         "greybox simulate micro_actuator --multisine 2 --band 5:800 --duration 1.5 --sampling-time 2.5e-4 \\",
         "    --noise x=2e-7 --noise i=5e-3 --seed 1 --output record.csv",
         "greybox simulate my/rig.py input.csv --set K=5000 --output simulated.csv",
+        "greybox simulate results/micro_actuator-fit input.csv --output predicted.csv",
     ),
     (
         *(options.LAYOUT, options.SUBSTEPS),

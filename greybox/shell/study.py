@@ -471,7 +471,7 @@ class NextCommand:
         if not files:
             return self
         results = Path("results")
-        written = files[0].with_suffix("") if files[0].parent == results else files[0].parent
+        written = results / files[0].stem if files[0].parent in (results, Path()) else files[0].parent
         name = written.name.removesuffix(f"-{self.study.command}")
         if written.parent == results and name != written.name:
             usual = written.with_name(f"{name}-{self.command}")

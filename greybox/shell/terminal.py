@@ -43,6 +43,7 @@ class CommandCode(StrEnum):
     STUDY_FIELDS_UNUSED = "study_fields_unused"
     OTHER_MODEL_IN_STUDY = "other_model_in_study"
     UNUSED_PARAMETER = "unused_parameter"
+    STARTS_AS_DECLARED = "starts_as_declared"
 
 
 # Ctrl-C during a command: what it has found is kept.

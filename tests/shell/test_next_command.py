@@ -271,6 +271,7 @@ def test_after_a_comparison_a_fit_adds_what_was_added_and_not_what_the_model_has
         ("results/rig-fit/fit.json", ["results/other-discover/discovery.json"], "discover", ""),
         ("mine/fit.json", ["results/rig-discover/discovery.json"], "discover", "mine-discover"),
         ("results/rig-simulated.csv", ["results/rig-fit/fit.json"], "fit", "results/rig-simulated-fit"),
+        ("plan.csv", ["results/rig-fit/fit.json"], "fit", "results/plan-fit"),
         ("results/rig-fit/fit.json", ["results/rig-export/rig.h"], "export", ""),
     ],
 )

@@ -32,6 +32,8 @@ register(
             + f"; and {len(f.values['lines']) - 3} lines more" * (len(f.values["lines"]) > 3)
         ),
         "study_fields_unused": "{subject}: a check does not use {places:list}",
+        "starts_as_declared": "the run begins at the initial state of the model, {states}, and not where a record may begin; begin it"
+        " elsewhere with --initial {subject}=VALUE, or at rest under its first inputs with --settled",
         "unused_parameter": "parameter {subject!r} is in no equation: a term is missing, or the parameter is not needed",
     }
 )

@@ -48,6 +48,11 @@ SENTENCES = {
         Finding(Code.OTHER_MODEL_IN_STUDY, subject="study.toml", values={"lines": ["B was 1 and is 2"]}),
         "study.toml: written for another model: B was 1 and is 2",
     ),
+    Code.STARTS_AS_DECLARED: (
+        Finding(Code.STARTS_AS_DECLARED, subject="x", values={"states": "x = 0 m, v = 0 m/s"}),
+        "the run begins at the initial state of the model, x = 0 m, v = 0 m/s, and not where a record may begin; begin it elsewhere with"
+        " --initial x=VALUE, or at rest under its first inputs with --settled",
+    ),
     Code.UNUSED_PARAMETER: (
         Finding(Code.UNUSED_PARAMETER, subject="q"),
         "parameter 'q' is in no equation: a term is missing, or the parameter is not needed",
