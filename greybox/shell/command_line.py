@@ -11,12 +11,12 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from greybox.base import ExitCode, Finding, GreyboxError
+from greybox.base import ExitCode, Finding, GreyboxError, ModelError
 from greybox.base.files import OUTPUTS_FILE, list_foreign, watch_replaced
 from greybox.base.texts import to_word, wrap
 from greybox.shell.study import Answer, Command, Option, Study
 from greybox.shell.study_file import is_study_file, read_study, with_overrides, write_study
-from greybox.shell.study_values import Choice, Count, File, ModelName, Number, Switch, Word
+from greybox.shell.study_values import Choice, Count, File, ModelName, Number, Switch, ValueWithUnitError, Word
 from greybox.shell.terminal import (
     CommandCode,
     PlainArgument,
@@ -116,7 +116,10 @@ def _typed(ctx: click.Context, name: str) -> bool:
 def _read_study(ctx: click.Context, name: str, command: Command, commands: Mapping[str, Command]) -> Study:
     """The study that the command line states: from a file, from options, or from both."""
     first = str(ctx.params[command.arguments[0].name] or "") if command.arguments else ""
-    given = {n: o.kind.from_option(o.flag, ctx.params[n]) for n, o in command.table.items() if _typed(ctx, n)}
+    try:
+        given = {n: o.kind.from_option(o.flag, ctx.params[n]) for n, o in command.table.items() if _typed(ctx, n)}
+    except ValueWithUnitError as error:
+        raise _name_unit(error, first) from None
     study = command.study(command=name, options=command.table)
     if command.reads_studies and is_study_file(first):
         read = read_study(Path(first), command.like or name, commands)
@@ -130,6 +133,19 @@ def _read_study(ctx: click.Context, name: str, command: Command, commands: Mappi
         )
     _refuse_missing(ctx, study, [option for option in command.table.values() if option.required], first)
     return study
+
+
+def _name_unit(error: ValueWithUnitError, model: str) -> GreyboxError:
+    """``error`` with the unit that the ``model`` wants; as it is where model or quantity are not found."""
+    from greybox.shell.project import find_model
+
+    try:
+        plant = find_model(model)
+    except ModelError:
+        return error
+    units = {q.name: q.unit for group in (plant.outputs, plant.inputs, plant.all_states) for q in group}
+    units |= {q.name: q.unit for q in plant.all_parameters}
+    return error.in_unit(units[error.name]) if error.name in units else error
 
 
 # Option -> what to do where a study file lacks it.

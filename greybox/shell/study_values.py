@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar
 
 import click
 
-from greybox.base import GreyboxError, nearest
+from greybox.base import GreyboxError, ModelError, nearest
 
 PLUS_MINUS = re.compile(r"\+-|\+/-|±")
 T = TypeVar("T")
@@ -440,10 +440,42 @@ class Numbers(Table):
     """A number for each name."""
 
     def value_of(self, option: str, name: str, text: str) -> float:
+        if quantity := _QUANTITY.fullmatch(text):
+            raise ValueWithUnitError(option, name, quantity["number"], quantity["unit"])
         return parse_number(f"{option} {name}={text}", text, f"{option} {name}=0.01")
 
     def entry(self, place: str, name: str, data: Any) -> float:
         return number_in_file(place, data, self.bare)
+
+
+# A number and a unit behind it: 165cm^2, 1.5e-3 m, 20 °C.
+_QUANTITY = re.compile(
+    r"(?P<number>[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?)\s*(?P<unit>(?!e[+-]?\d)[^\d\s.,+-].*)", re.IGNORECASE
+)
+
+
+class ValueWithUnitError(GreyboxError):
+    """A value in a unit of its own: ``--fix A2=165cm^2``. Which one the model wants, whoever knows the model says."""
+
+    def __init__(self, option: str, name: str, number: str, unit: str) -> None:
+        self.option, self.name, self.number, self.unit = option, name, number, unit
+        super().__init__(
+            f"{option} {name}={number}{unit}: write the number alone, in the unit that {name} has in the model, as in {option}"
+            f" {name}={number}"
+        )
+
+    def in_unit(self, unit: str) -> GreyboxError:
+        """The message that names the ``unit`` of the model, and the number in it where that of the value converts."""
+        from greybox.base import format_unit
+        from greybox.data.notation import read_conversion
+
+        given = f"{self.option} {self.name}"
+        wanted = f"{given}={self.number}{self.unit}: {self.name} is in {format_unit(unit) or '1'} in the model; write the number"
+        try:
+            value = float(read_conversion(self.unit, unit, is_told=True)([float(self.number)])[0])
+        except ModelError as error:
+            return GreyboxError(f"{wanted} alone, in that unit ({error})")
+        return GreyboxError(f"{wanted} in it alone, {given}={value:.10g}")
 
 
 @dataclass(frozen=True)

@@ -91,6 +91,30 @@ SHOW = "greybox fit --help"
             "fit micro_actuator data.csv --tie Kv=",
             "--tie Kv=: nothing stands after the '='; write --tie NAME=FORMULA without",
         ),
+        (
+            "fit micro_actuator data.csv --fix M=10g",
+            "--fix M=10g: M is in kg in the model; write the number in it alone, --fix M=0.01",
+        ),
+        (
+            "check micro_actuator --start K=5N/mm",
+            "--start K=5N/mm: K is in N/m in the model; write the number in it alone, --start K=5000",
+        ),
+        (
+            "simulate micro_actuator --step 1 --initial x=2.5e-1mm",
+            "--initial x=2.5e-1mm: x is in m in the model; write the number in it alone, --initial x=0.00025",
+        ),
+        (
+            "fit micro_actuator data.csv --noise x=0.2um",
+            "--noise x=0.2um: x is in m in the model; write the number in it alone, --noise x=2e-07",
+        ),
+        (
+            "fit micro_actuator data.csv --fix M=10V",
+            "--fix M=10V: M is in kg in the model; write the number alone, in that unit (",
+        ),
+        (
+            "fit micro_actuator data.csv --fix Q=10V",
+            "--fix Q=10V: write the number alone, in the unit that Q has in the model",
+        ),
         ("fit micro_actuator data.csv --prior K=5+-q", "--prior K=5+-q: 'q' is not a number"),
         (
             "fit micro_actuator data.csv --predict 100000",
