@@ -19,4 +19,4 @@ if TYPE_CHECKING:
         analyse_structural_identifiability,
     )
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

@@ -10,10 +10,12 @@ import numpy as np
 
 from greybox.base import Finding, ModelError, Severity, format_unit
 from greybox.base.extensions import read_greybox_version
+from greybox.base.texts import to_word
 from greybox.data.experiment import Experiment
 from greybox.estimation.result import Fit
 from greybox.model import Model
 from greybox.simulation.plant import Plant, PlantModel, as_model, is_plant
+from greybox.simulation.simulate import declared_initial_state
 
 
 class ExportFinding(StrEnum):
@@ -48,7 +50,9 @@ class ExportFinding(StrEnum):
     INPUT_BETWEEN_ROWS = "export_input_between_rows"
     """An effect says what the input does between the rows of a record."""
     ABOUT_THE_MEANS = "export_about_the_means"
-    """No point was asked for and inputs act by products: the means of the records are taken."""
+    """No point was asked for: the means of the inputs in the records are taken."""
+    ABOUT_THE_BEGINNING = "export_about_the_beginning"
+    """No point was asked for, and the plant does not rest at the means: the inputs at which a record begins are taken."""
     ABOUT_A_RUN = "export_about_a_run"
     """The linear model is the answer to small changes along a run of a plant without equations."""
     PARAMETERS_NOT_DRAWN = "export_parameters_not_drawn"
@@ -78,6 +82,30 @@ class ExportedModel:
         """The first record over time that was fitted, which holds outputs of the model; None where there is none (frequency responses)."""
         traces, names = self.fit.traces if self.fit is not None else (), {o.name for o in self.model.outputs}
         return next((t.experiment for t in traces if names & {*t.measured}), None)
+
+    @property
+    def recorded_inputs(self) -> dict[str, list[np.ndarray]]:
+        """Input -> its values (N,) in each record over time that was fitted; empty where no record has them all."""
+        traces, names = self.fit.traces if self.fit is not None else (), [i.name for i in self.model.inputs]
+        records = [t.experiment for t in traces if {*names} <= {*t.experiment.inputs}]
+        return {name: [r.inputs[name] for r in records] for name in names} if records else {}
+
+    def propose_point(self) -> str:
+        """What to type for an operating point: where the first record begins; a state that was not recorded as the model declares it."""
+        declared = dict(zip(self.model.system.state_names, declared_initial_state(self.model).tolist(), strict=True))
+        recorded = {} if self.record is None else {**self.record.inputs, **self.record.outputs}
+        read = {name: float(v[np.isfinite(v)][0]) for name, v in recorded.items() if np.isfinite(v).any()}
+        # All of them: such a point is taken as it is, whether the plant rests there or not.
+        point = {
+            name: read.get(name, value) for name, value in (dict.fromkeys(self.recorded_inputs, 0.0) | declared).items()
+        }
+        if not self.recorded_inputs:
+            return "give a point near it: at={NAME: VALUE, ...} (shell: --at NAME=VALUE)"
+        written, typed = (
+            ", ".join(f"{name!r}: {value:.6g}" for name, value in point.items()),
+            " ".join(f"--at {to_word(f'{name}={value:.6g}')}" for name, value in point.items()),
+        )
+        return f"give another, such as the one where the records begin: at={{{written}}} (shell: {typed})"
 
     def provenance(self, name: str) -> str:
         """Where the value of a constant comes from, in a line."""

@@ -151,7 +151,7 @@ class Linearisation(Printable):
         if infinite:
             raise ModelError(
                 f"linear model of {self.name}: {' and '.join(infinite)} not finite; an equation has no finite slope at the operating"
-                " point (a root at zero, a division by zero); give a point near it"
+                " point (a root at zero, a division by zero); give a point near it: at={NAME: VALUE, ...} (shell: --at NAME=VALUE)"
             )
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 from greybox.base import Finding, ModelError, Severity, format_unit
 from greybox.base.numerics import CANCELLED_DERIVATIVE, SAME_DERIVATIVE, TINY
 from greybox.data.experiment import Experiment
-from greybox.estimation.linear.exported_model import ExportedModel, ExportFinding, to_plant
+from greybox.estimation.linear.exported_model import ExportedModel, ExportFinding, format_signals, to_plant
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.operating_point import ModelFunctions, OperatingPoint, solve_operating_point
 from greybox.estimation.linear.sampling import sample
@@ -153,7 +153,7 @@ def linearise(
         A fit, a model, or a plant.
     at
         States and inputs by name, in the model's units; what it leaves out is solved for, see `find_operating_point`. None: inputs of
-        zero, or, of a fit whose inputs act by products, their means in its records.
+        zero; of a fit that was not there, or whose inputs act by products, their means in its records, or where these begin.
     along
         The record along which a plant without equations is run, one that can linearise (`greybox.simulation.plant.CanLinearise`), such as
         an FMU; None: the longest of the fit.
@@ -172,7 +172,8 @@ def linearise(
     Raises
     ------
     ModelError
-        For unknown names, where there is no equilibrium, where a derivative is not finite, and for a plant that cannot be linearised.
+        For unknown names, a state outside its bounds, where there is no equilibrium, where a derivative is not finite, and for a plant
+        that cannot be linearised.
 
     Examples
     --------
@@ -186,37 +187,62 @@ def linearise(
     if along is not None:
         raise ModelError(f"{source.model.title} has equations: it is linearised about a point; give at=, not along=")
     functions = ModelFunctions(source.model)
-    point = choose_point(source, functions, at)
+    point, chosen = choose_point(source, functions, at)
     linear = linearise_at(source, functions, source.p, point, dt, method, delay)
     inputs, outputs = (
         {n: float(v) for n, v in zip(names, values, strict=True)}
         for names, values in ((linear.input_names, linear.u0), (linear.output_names, linear.y0))
     )
     outside = source.find_extrapolation(inputs, outputs, OPERATING_POINT_EXTRAPOLATION)
-    if point and not at:
-        outside = (Finding(ExportFinding.ABOUT_THE_MEANS, Severity.NOTE, values={"inputs": dict(point)}), *outside)
+    if point and chosen:
+        outside = (Finding(chosen, Severity.NOTE, values={"inputs": dict(point)}), *outside)
     return replace(linear, findings=(*linear.findings, *outside))
+
+
+# A point that nobody asked for may lie outside the records by this share of their range: noise and a rounded end, no more.
+CHOSEN_POINT_EXTRAPOLATION = 0.05
 
 
 def choose_point(
     source: ExportedModel, functions: ModelFunctions, at: Mapping[str, float] | None
-) -> Mapping[str, float] | None:
-    """``at``; where nothing is asked for and inputs act by products, the means of the inputs in the records of the fit.
+) -> tuple[Mapping[str, float] | None, ExportFinding | None]:
+    """``at``; where nothing is asked for, a point of the fit's records at which the plant rests, and how it was chosen.
 
-    Without any input such a model has no gain (a valve that is shut, a supply without pressure).
+    Inputs of zero come first. Where inputs act by products they come last: without any input such a model has no gain (a valve that is
+    shut, a supply without pressure), and it may have no state either.
+
+    Raises
+    ------
+    ModelError
+        Where inputs act by products and the plant rests at none of these points.
     """
-    if at or source.fit is None:
-        return at
+    if at or source.fit is None or not source.recorded_inputs:
+        return at, None
+    recorded = source.recorded_inputs
+    means = {name: float(np.mean(np.concatenate(values))) for name, values in recorded.items()}
+    begins = [
+        {name: float(v[0]) for name, v in zip(recorded, each, strict=True)}
+        for each in zip(*recorded.values(), strict=True)
+    ]
+    points = [(means, ExportFinding.ABOUT_THE_MEANS), *((b, ExportFinding.ABOUT_THE_BEGINNING) for b in begins)]
     _, b, _, d = differentiate_equations(functions.system)
-    if not ca.depends_on(ca.vertcat(ca.vec(b), ca.vec(d)), functions.z):
-        return at
-    records = [t.experiment for t in source.fit.traces]
-    means = {i.name: float(np.mean(np.concatenate([r.inputs[i.name] for r in records]))) for i in source.model.inputs}
-    try:
-        solve_operating_point(functions, source.p, means)
-    except ModelError:  # the plant does not come to rest there: as without records
-        return at
-    return means
+    by_products = ca.depends_on(ca.vertcat(ca.vec(b), ca.vec(d)), functions.z)
+    candidates = [*points, (None, None)] if by_products else [(None, None), *points]
+    for point, chosen in candidates:
+        try:
+            linear = linearise_at(source, functions, source.p, point)
+        except ModelError:  # the plant does not come to rest there, or has no finite slope
+            continue
+        inputs = dict(zip(linear.input_names, map(float, linear.u0), strict=True))
+        outputs = dict(zip(linear.output_names, map(float, linear.y0), strict=True))
+        if not source.find_extrapolation(inputs, outputs, CHOSEN_POINT_EXTRAPOLATION):
+            return point, chosen
+    if not by_products:
+        return at, None
+    raise ModelError(
+        f"{source.model.title} rests at no point of its records: not at the means of the inputs, nor where they begin, nor without"
+        f" inputs; {source.propose_point()}"
+    )
 
 
 def _linearise_run(
@@ -277,7 +303,14 @@ def linearise_at(
     """
     point = at if isinstance(at, OperatingPoint) else solve_operating_point(functions, p, at)
     model, system, nx = plant.model, functions.system, functions.nx
-    derivatives = differentiate_one_sided(functions, point.z, p)
+    try:
+        with np.errstate(over="raise"):
+            derivatives = differentiate_one_sided(functions, point.z, p)
+    except FloatingPointError as error:
+        raise ModelError(
+            f"linear model of {model.title}: no finite slope at {format_signals(functions.names, point.z, functions.units)} (a root at"
+            f" zero, a division by zero); {plant.propose_point()}"
+        ) from error
     rates, outputs, closed = _close_play(functions, derivatives, point.z, p)
     # After play is closed: its slopes may cancel against others.
     sizes = functions.sizes(point.z, p)

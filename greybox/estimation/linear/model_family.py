@@ -324,7 +324,7 @@ def sample_family(
     distribution, functions = make_parameter_distribution(plant), ModelFunctions(plant.model)
     generator = np.random.default_rng(seed)
     parameters = np.array([distribution.draw(generator) for _ in range(number)])
-    settings = LinearisationSettings(choose_point(plant, functions, at), dt, method, delay, minimal)
+    settings = LinearisationSettings(choose_point(plant, functions, at)[0], dt, method, delay, minimal)
     nominal = _linearise_member(plant, functions, plant.p, settings)
     members = tuple(_linearise_member(plant, functions, p, settings) for p in parameters)
     different = next((member for member in members if member.state_names != nominal.state_names), None)

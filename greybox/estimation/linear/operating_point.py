@@ -337,8 +337,8 @@ def _motion_is_steady(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, m
 
 
 def _check_point(functions: ModelFunctions, at: Mapping[str, float]) -> dict[str, float]:
-    """``at`` as numbers; refuses unknown names and values that are not finite, all in one message."""
-    problems = []
+    """``at`` as numbers; refuses unknown names, values that are not finite and states out of bounds, all in one message."""
+    problems, limits = [], {state.name: state.bounds for state in functions.model.all_states}
     for name, value in at.items():
         if name in functions.model.values:
             problems.append(f"{name!r} is a parameter; set it with model.start({name}=...)")
@@ -346,6 +346,11 @@ def _check_point(functions: ModelFunctions, at: Mapping[str, float]) -> dict[str
             problems.append(f"no state or input {name!r}; {nearest(name, functions.names)}")
         elif not isinstance(value, int | float | np.number) or not np.isfinite(value):
             problems.append(f"{name} = {value!r} is not a finite number; give it in the model's unit")
+        elif (bounds := limits.get(name)) and not bounds[0] <= value <= bounds[1]:
+            low, high = bounds
+            problems.append(
+                f"{name} = {value:.6g} lies outside the bounds of the state, {low:g} to {high:g}; give a value within them"
+            )
     if problems:
         raise ModelError(f"operating point of {functions.model.title}: {'; '.join(problems)}")
     return {name: float(value) for name, value in at.items()}

@@ -109,6 +109,11 @@ def _mode_undersampled(finding: Finding) -> str:
     )
 
 
+def _chosen(finding: Finding, where: str) -> str:
+    inputs = ", ".join(f"{name} = {value:.4g}" for name, value in finding.values["inputs"].items())
+    return f"no operating point was chosen: it is linearised about {where}, {inputs}; at= (shell: --at NAME=VALUE) gives another"
+
+
 register(
     {
         ExportFinding.FIT_FAILED: lambda finding: (
@@ -118,10 +123,8 @@ register(
         " be closed, as in a large motion in one direction",
         ExportFinding.INPUT_BETWEEN_ROWS: "{subject} says what the input did between the rows of the record; a step from sample to sample"
         " holds its input, so its outputs differ from those of the fit. Step it at a shorter interval, with the input that acts there",
-        ExportFinding.ABOUT_THE_MEANS: lambda finding: (
-            "inputs act by products and no operating point was chosen: it is linearised about the means of the inputs in the records, "
-            + ", ".join(f"{name} = {value:.4g}" for name, value in finding.values["inputs"].items())
-        ),
+        ExportFinding.ABOUT_THE_MEANS: lambda finding: _chosen(finding, "the means of the inputs in the records"),
+        ExportFinding.ABOUT_THE_BEGINNING: lambda finding: _chosen(finding, "the inputs at which a record begins"),
         ExportFinding.ABOUT_A_RUN: "the plant is run from outside: the linear model is its answer to small changes of the inputs along"
         " {subject}, of which it follows {share:.0%} at least",
         ExportFinding.DELAY_APPROXIMATED: "the delay of {delay:.4g} s of {subject} is a Pade approximation of order {order}, accurate up"

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import casadi as ca
 import control
 import numpy as np
 import pytest
@@ -471,3 +472,71 @@ def test_inputs_that_act_by_products_are_linearised_about_their_means_in_the_rec
     assert asked.u0.tolist() == [0.5, 1.0] and find(asked.findings, Code.ABOUT_THE_MEANS) is None
     # A model has no records: its inputs are zero.
     assert gb.linearise(FILLED).u0.tolist() == [0.0, 0.0]
+
+
+def orifice(up, down):
+    """Flow of a gas by the square root of the fall of pressure, a little rounded where there is none."""
+    return up * ca.sqrt(ca.fmax(1e-12, 1 - (down / up) ** 2))
+
+
+def chamber_balances(x, u, p):
+    # Above 5 V the chamber fills from the supply of 4 bar, below it empties to the surroundings; at 5 V it holds any pressure.
+    s = u.valve - 5 * p.one
+    flow = p.c * ca.if_else(s > 0, s * orifice(4e5 * p.bar, x.p), s * orifice(x.p, 1e5 * p.bar))
+    return [
+        Balance("pressure", "Pa/s", 1, "p", valve=flow),
+        Balance("angle", "1/s", 1, "th", pressure=p.k * (x.p - 1e5 * p.bar), spring=-p.r * x.th),
+    ]
+
+
+CHAMBER = Model(
+    "chamber",
+    [State("p", "Pa", 1e5, bounds=(1.0, 1e7)), State("th", "1")],
+    [Input("valve", "V")],
+    [Output("p", "Pa"), Output("th", "1")],
+    [
+        Parameter("c", "1/(s*V)", 1.0, (0.01, 100.0)),
+        Parameter("k", "1/(s*Pa)", 2e-5, (1e-7, 1e-3)),
+        Parameter("r", "1/s", 5.0, (0.1, 100.0)),
+        Parameter("one", "V", 1.0, fixed=True),
+        Parameter("bar", "Pa", 1.0, fixed=True),
+    ],
+    chamber_balances,
+)
+
+
+@pytest.fixture(scope="module")
+def filled_and_emptied():
+    """A fit of the chamber to a record that begins at rest at 5 V, whose mean input holds no pressure."""
+    valve = np.repeat([5.0, 7.0, 5.0, 4.0, 5.0, 6.5, 5.0, 4.5], 40)
+    record = simulate_twin(CHAMBER, {"valve": valve}, 0.01, {"p": 100.0, "th": 1e-3}, 1)
+    return gb.fit(CHAMBER, record, noise={"p": 100.0, "th": 1e-3})
+
+
+def test_a_plant_that_rests_only_where_its_record_begins_is_linearised_there(filled_and_emptied):
+    fitted = filled_and_emptied
+    linear = gb.linearise(fitted)
+    assert linear.u0.tolist() == [5.0] and linear.x0 == pytest.approx([1e5, 0.0])
+    assert find(linear.findings, Code.ABOUT_THE_BEGINNING).values["inputs"] == {"valve": 5.0}
+    # Of one more volt the pressure rises by c q(4 bar, 1 bar), of the pressure the angle by k.
+    c, k, r = (fitted.parameters[name].value for name in ("c", "k", "r"))
+    assert linear.B[:, 0] == pytest.approx([c * 4e5 * np.sqrt(1 - 1 / 16), 0.0])
+    np.testing.assert_allclose(linear.A, [[0.0, 0.0], [k, -r]], rtol=1e-9)
+
+
+def test_a_point_out_of_bounds_or_without_a_finite_slope_is_refused_with_one_that_works(filled_and_emptied):
+    with pytest.raises(ModelError, match=r"p = -5 lies outside the bounds of the state, 1 to 1e\+07"):
+        gb.linearise(filled_and_emptied, {"p": -5.0, "th": 0.0, "valve": 5.0})
+    # sqrt(th) has no slope at zero that a number holds.
+    steep = Model(
+        "steep",
+        [State("th", "1", 1e-200)],
+        [Input("valve", "1")],
+        [Output("th", "1")],
+        [Parameter("a", "1/s", 1.0, (0.1, 10.0))],
+        lambda x, u, p: [Balance("angle", "1/s", 1, "th", drive=p.a * u.valve / (x.th * x.th), back=-p.a * x.th)],
+    )
+    with pytest.raises(
+        ModelError, match=r"steep.* give a point near it: at=\{NAME: VALUE, \.\.\.\} \(shell: --at NAME=VALUE\)"
+    ):
+        gb.linearise(steep, {"valve": 1.0, "th": 1e-200})

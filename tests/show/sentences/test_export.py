@@ -64,8 +64,13 @@ SENTENCES = {
     ),
     Code.ABOUT_THE_MEANS: (
         Finding(Code.ABOUT_THE_MEANS, values={"inputs": {"d": 0.45, "ps": 2e5}}),
-        "inputs act by products and no operating point was chosen: it is linearised about the means of the inputs in the records, d = 0.45,"
-        " ps = 2e+05",
+        "no operating point was chosen: it is linearised about the means of the inputs in the records, d = 0.45, ps = 2e+05; at= (shell:"
+        " --at NAME=VALUE) gives another",
+    ),
+    Code.ABOUT_THE_BEGINNING: (
+        Finding(Code.ABOUT_THE_BEGINNING, values={"inputs": {"valve": 5.0}}),
+        "no operating point was chosen: it is linearised about the inputs at which a record begins, valve = 5; at= (shell: --at NAME=VALUE)"
+        " gives another",
     ),
     Code.ABOUT_A_RUN: (
         Finding(Code.ABOUT_A_RUN, subject="r1", values={"share": 0.994}),
