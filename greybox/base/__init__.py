@@ -29,4 +29,4 @@ if TYPE_CHECKING:
     from greybox.base.units import convert, format_unit, is_unit, parse_unit, unit_converter
     from greybox.base.values import Check, Finding, Printable, Severity
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

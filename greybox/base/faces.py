@@ -9,8 +9,8 @@ from importlib import import_module
 from typing import Any
 
 
-def lazy_face(package: str) -> tuple[Callable[[str], Any], list[str]]:
-    """``__getattr__`` and ``__all__`` of a package whose modules are dear to import.
+def lazy_face(package: str) -> tuple[Callable[[str], Any], list[str], Callable[[], list[str]]]:
+    """``__getattr__``, ``__all__`` and ``__dir__`` of a package whose modules are dear to import.
 
     A command or a reader of the package is found without its algorithms, and these are loaded by the first use of a name. What the
     package imports under ``if TYPE_CHECKING`` is what it offers: one list, for type checkers and for users.
@@ -23,7 +23,7 @@ def lazy_face(package: str) -> tuple[Callable[[str], Any], list[str]]:
     Returns
     -------
     tuple
-        What to assign to ``__getattr__`` and ``__all__``.
+        What to assign to ``__getattr__``, ``__all__`` and ``__dir__``.
     """
     tree = ast.parse(sys.modules[package].__loader__.get_source(package))  # type: ignore[union-attr]
     blocks = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
@@ -38,4 +38,5 @@ def lazy_face(package: str) -> tuple[Callable[[str], Any], list[str]]:
         return value
 
     # Constants, classes, functions: the order in which a reference lists them.
-    return load, sorted(home, key=lambda name: (not name.isupper(), name[0].islower(), name))
+    names = sorted(home, key=lambda name: (not name.isupper(), name[0].islower(), name))
+    return load, names, lambda: names

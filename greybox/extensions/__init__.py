@@ -20,4 +20,4 @@ if TYPE_CHECKING:
     from greybox.shell.study_values import Choice, Count, File, Names, Number, Numbers, Quantity, Switch, Word
     from greybox.simulation.plant import PlantRunError, as_model
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

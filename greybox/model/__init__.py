@@ -15,4 +15,4 @@ if TYPE_CHECKING:
     from greybox.model.system import System
     from greybox.model.validation import Rule
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

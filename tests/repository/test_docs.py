@@ -139,6 +139,15 @@ def test_the_reference_holds_every_public_name(hooks) -> None:
         assert set(getattr(greybox, namespace).__all__) <= set(shown)
 
 
+def test_dir_lists_the_names_of_each_namespace() -> None:
+    namespaces = [getattr(greybox, name) for name in dir(greybox) if not name[0].isupper()]
+    faces = [module for module in namespaces if hasattr(module, "__all__")]
+    assert {greybox.export, greybox.fleet, greybox.fmu, greybox.effects} <= {*faces}
+    for module in faces:
+        assert set(module.__all__) <= set(dir(module)), module.__name__
+        assert not {"TYPE_CHECKING", "lazy_face"} & set(dir(module)), module.__name__
+
+
 def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:
     from greybox.shell.commands import COMMANDS
 

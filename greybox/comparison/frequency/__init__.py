@@ -13,4 +13,4 @@ if TYPE_CHECKING:
     from greybox.comparison.frequency.fit_response import ResponsePlant, fit_frequency_response
     from greybox.comparison.frequency.response import FrequencyResponse, read_frequency_response
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

@@ -20,4 +20,4 @@ if TYPE_CHECKING:
     from greybox.data.noise.noise_sources import estimate_noise
     from greybox.data.noise.spectrum import estimate_noise_from_differences, estimate_noise_of_records
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

@@ -18,4 +18,4 @@ if TYPE_CHECKING:
     )
     from greybox.extensions.changes.survey import chart_changes, survey_population
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

@@ -32,4 +32,4 @@ if TYPE_CHECKING:
     )
     from greybox.extensions.design.search import SamplingTimes, choose_sampling_times, weigh_optimally
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

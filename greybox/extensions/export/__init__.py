@@ -27,4 +27,4 @@ if TYPE_CHECKING:
     from greybox.extensions.export.python_model import to_python
     from greybox.extensions.export.target import ExportTarget
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

@@ -9,4 +9,4 @@ if TYPE_CHECKING:
     from greybox.extensions.fleet.records import RecordCollection, RecordReference, find_records
     from greybox.extensions.fleet.result import ConstantDistribution, FleetResult, RecordEstimate, load_fleet
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

@@ -9,4 +9,4 @@ if TYPE_CHECKING:
     from greybox.extensions.fmu.plant import FmuPlant, read_fmu
     from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

@@ -15,4 +15,4 @@ if TYPE_CHECKING:
     from greybox.extensions.robot.result import RobotIdentification
     from greybox.extensions.robot.rigid_body import RigidBody
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

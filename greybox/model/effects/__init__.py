@@ -33,4 +33,4 @@ if TYPE_CHECKING:
     from greybox.model.effects.signal_path import BETWEEN_SAMPLES, SIGNAL_PATH
     from greybox.model.effects.thermal import HEAT_SOURCES, THERMAL
 
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)

@@ -14,4 +14,4 @@ if TYPE_CHECKING:
     from greybox.show.figures.pictures import draw_comparison, draw_discovery, draw_fit, draw_gap, draw_residual_tests
 
 # The figures of one page do not need what those of another one import.
-__getattr__, __all__ = lazy_face(__name__)
+__getattr__, __all__, __dir__ = lazy_face(__name__)
