@@ -73,6 +73,8 @@ SENSOR_FAULTS = frozenset(
         RecordCode.CODE_FOR_MISSING,
     }
 )
+# The record states no unit, and the model's was taken.
+UNITS_TAKEN = frozenset({RecordCode.UNITS_ASSUMED, RecordCode.MAY_BE_PER_CENT})
 TIMING = frozenset(
     {
         RecordCode.TIME_ROUNDED,

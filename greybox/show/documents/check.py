@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from greybox.base import Finding
@@ -10,7 +10,7 @@ from greybox.base import document as doc
 from greybox.base.document import Document, Later, TableBlock
 from greybox.base.texts import LINE_WIDTH
 from greybox.data.experiment import collect_record_findings
-from greybox.data.findings import RecordCode, is_sensor_fault
+from greybox.data.findings import UNITS_TAKEN, RecordCode, is_sensor_fault
 from greybox.estimation.check import ModelCheck
 from greybox.model import equations_text
 from greybox.model.effects.catalogue import AT
@@ -43,8 +43,8 @@ FAST_KERNEL = "for the fast kernel, install a C compiler (gcc, clang) or set the
 def describe_check(check: ModelCheck, *, command: str = "") -> doc.Document:
     """What is said of a check; ``command`` is what was typed."""
     names = join_names([q.name for q in check.model.free_parameters]) or "the parameters"
-    # Doubtful sensors, what any record leaves open and the remedy, what is known of these records, effects with a place.
-    notes, structure = [*_faults(check), *_gaps(check)], check.structure
+    # Doubtful sensors, units that no header states, holes, what any record leaves open and the remedy, what is known of these records.
+    notes, structure = [*_doubts(check, lambda f: is_sensor_fault(f) or f.code in UNITS_TAKEN), *_gaps(check)], check.structure
     # What any record leaves open is no news where priors close it.
     is_open = not check.practical.constants or bool(check.practical.undetermined)
     if structure is not None and not structure.complete and is_open:
@@ -129,16 +129,15 @@ def _sections(check: ModelCheck, command: str) -> Iterator[doc.Section]:
     yield tables.provenance_section(command)
 
 
-def _faults(check: ModelCheck) -> list[doc.Text]:
-    return [
-        _about_record(finding) for finding in collect_record_findings(check.experiments) if is_sensor_fault(finding)
-    ]
+def _doubts(check: ModelCheck, counts: Callable[[Finding], bool]) -> list[doc.Text]:
+    """What the records leave in doubt, sensor faults first."""
+    findings = sorted(collect_record_findings(check.experiments), key=is_sensor_fault, reverse=True)
+    return [_about_record(finding) for finding in findings if counts(finding)]
 
 
 def _gaps(check: ModelCheck) -> list[doc.Text]:
     """Holes in the time of the records: another model, or a fit, may refuse what this check has run through."""
-    about_records = collect_record_findings(check.experiments)
-    return [_about_record(finding) for finding in about_records if finding.code is RecordCode.TIME_GAP]
+    return _doubts(check, lambda finding: finding.code is RecordCode.TIME_GAP)
 
 
 def _answer(check: ModelCheck) -> str:
@@ -170,7 +169,7 @@ def _tone(check: ModelCheck) -> doc.Tone:
         return doc.Tone.BAD
     return (
         doc.Tone.GOOD
-        if check.complete and not (check.failure or check.other_answers or _faults(check))
+        if check.complete and not (check.failure or check.other_answers or _doubts(check, is_sensor_fault))
         else doc.Tone.CAUTION
     )
 

@@ -17,7 +17,7 @@ from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import worst_output
 from greybox.estimation.result import Fit
 from greybox.show.documents import tables
-from greybox.show.documents.fit import OPEN_RECORDS
+from greybox.show.documents.fit import OPEN_RECORDS, units_in_doubt
 from greybox.show.figures import discovery as search_figures
 from greybox.show.figures.figure import stretches_on_page, typeset_unit
 from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
@@ -110,6 +110,7 @@ def _sets_table(discovery: Discovery, most: int | None = None) -> doc.TableBlock
 
 def _notes(d: Discovery) -> Iterator[doc.Text]:
     """What the answer leaves out, the next step, what to know of the records."""
+    yield from units_in_doubt(d.best)
     # What the rig has decides the name, and what was fitted the constants: these come before what is left.
     first = (DiscoveryCode.USUAL_FIRST, DiscoveryCode.ASK_PART, DiscoveryCode.LEARNT_FROM_VALIDATION)
     yield from (f for f in (*d.conclusion, *d.next_steps, *d.findings) if f.code in first)

@@ -7,8 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from greybox.base import GreyboxError, Severity, format_unit
+from greybox.base import Finding, GreyboxError, Severity, format_unit
 from greybox.base import document as doc
+from greybox.data.findings import UNITS_TAKEN
 from greybox.data.noise import BoundDirection
 from greybox.estimation import Fit, errors, optimum, result_parts
 from greybox.estimation.findings import EstimationCode
@@ -173,7 +174,8 @@ def fit_notes(fit: Fit) -> list[doc.Text]:
     known = {*ANSWERED, *UNDETERMINED}
     if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
         known.add(EstimationCode.RESIDUAL_CORRELATED)  # said below the parameters
-    findings = [f for f in tables.worst_first(fit.findings) if f.code not in known]
+    units = units_in_doubt(fit)
+    findings = [f for f in tables.worst_first(fit.findings) if f.code not in known and f not in units]
     notes: list[doc.Text] = [f for f in findings if f.severity is not Severity.NOTE]
     directions = [f for f in fit.findings if f.code == EstimationCode.DIRECTION_UNDETERMINED]
     # Constants that can change together have no interval, and a sentence of their own.
@@ -182,7 +184,12 @@ def fit_notes(fit: Fit) -> list[doc.Text]:
     notes += directions
     if fit.success and fit.uncertainty.free and not fit.validation:
         notes.append("not validated: give a second record")
-    return [*notes, *(f for f in findings if f.severity is Severity.NOTE)]
+    return [*units, *notes, *(f for f in findings if f.severity is Severity.NOTE)]
+
+
+def units_in_doubt(fit: Fit) -> list[Finding]:
+    """Units that no header states, where the model does not explain its records: a wrong one looks like a wrong model."""
+    return [] if fit.success and fit.explains_records else [f for f in fit.findings if f.code in UNITS_TAKEN]
 
 
 def _undetermined(fit: Fit) -> list[str]:
