@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import ModelError, Printable, nearest
+from greybox.base.values import MadeOfFunctions
 from greybox.model import balance, build_system, validation
 from greybox.model.effect import GUESSES, Effect
 from greybox.model.parts import check_parts
@@ -32,7 +33,7 @@ from greybox.model.ties import Formula, Tie, apply_ties, as_formula, check_tie, 
 
 
 @dataclass(frozen=True, eq=False)
-class Model(Printable):
+class Model(MadeOfFunctions, Printable):
     """A physical model as a value: named balances of named terms, one for each state.
 
     Nothing changes a model in place: ``model + effect``, `fix`, `free`, `start`, `bound`, `prior` and `tie` return new models. Names and
@@ -104,7 +105,7 @@ class Model(Printable):
     has: Sequence[str] = ()
     lacks: Sequence[str] = ()
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def restate(self) -> tuple[Any, ...]:
         """As it was stated: CasADi expressions are not sent to another process, a model is written out anew where it arrives."""
         return _restate, (type(self), {f.name: getattr(self, f.name) for f in fields(self) if f.init})
 

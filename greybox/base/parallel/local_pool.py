@@ -26,7 +26,7 @@ from typing import Any
 
 import cloudpickle
 
-from greybox.base.values import ReadOnly
+from greybox.base.values import MadeOfFunctions, ReadOnly
 
 # Values as bytes for another process of the same version.
 #
@@ -78,13 +78,15 @@ def _add_texts(digest: Any, folder: Traversable) -> None:
 
 
 class _Pickler(cloudpickle.Pickler):
-    """Read-only mappings as mappings; `pickle` refuses them."""
+    """Read-only mappings as mappings, models as they were stated; `pickle` refuses both."""
 
     def reducer_override(self, obj: Any) -> Any:
         if isinstance(obj, MappingProxyType):
             return MappingProxyType, (dict(obj),)
         if isinstance(obj, ReadOnly):
             return ReadOnly.__reduce__(obj)
+        if isinstance(obj, MadeOfFunctions):
+            return obj.restate()
         return super().reducer_override(obj)
 
 
