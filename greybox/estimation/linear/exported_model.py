@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
@@ -172,6 +173,14 @@ def to_plant(source: Fit | Model | Plant, *, with_equations: bool = True) -> Exp
     if not source.success:
         findings.append(Finding(ExportFinding.FIT_FAILED, Severity.ERROR, values={"status": str(source.status)}))
     return ExportedModel(model, source, tuple(findings))
+
+
+def check_sampling_time(dt: Any) -> None:
+    """Raises ModelError for a sampling time that is no number above zero."""
+    if not isinstance(dt, int | float | np.number):
+        raise ModelError(f"dt={dt!r} is no sampling time; give a number of seconds, such as dt=0.001")
+    if not (np.isfinite(dt) and dt > 0):
+        raise ModelError(f"sampling time {dt} s: give a time above 0 s")
 
 
 def format_signals(names: Sequence[str], values: Sequence[float] | np.ndarray, units: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from greybox.base import TIME_ROUNDING, Finding, ModelError, Severity, nearest
-from greybox.estimation.linear.exported_model import ExportFinding
+from greybox.estimation.linear.exported_model import ExportFinding, check_sampling_time
 from greybox.estimation.linear.linearisation import Linearisation, balance_matrix
 
 METHODS = ("zoh", "tustin")
@@ -57,8 +57,7 @@ def sample(model: Linearisation, dt: float, method: str = "zoh", *, delay: float
         raise ModelError(
             f"linear model of {model.name} is sampled already, every {model.dt:g} s; sample the continuous one"
         )
-    if not (np.isfinite(dt) and dt > 0):
-        raise ModelError(f"sampling time {dt} s: give a time above 0 s")
+    check_sampling_time(dt)
     if method not in METHODS:
         raise ModelError(f"unknown method {method!r} of sampling; {nearest(method, METHODS)}")
     late = model.with_delay(delay).delay

@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.base import ModelError
 from greybox.base.numerics import TINY
-from greybox.estimation.linear.exported_model import ExportedModel
+from greybox.estimation.linear.exported_model import ExportedModel, check_sampling_time
 from greybox.model import Input, Model, Output, Parameter, State
 from greybox.simulation.integrators.discretisation import choose_implicit_method, discretise, run_step
 from greybox.simulation.integrators.step import Step
@@ -110,8 +110,7 @@ def make_discrete_step(
     period = plant.sampling_time if dt is None else dt
     if period is None:
         raise ModelError(f"{plant.model.title}: no sampling time is known; give dt in seconds")
-    if not (np.isfinite(period) and period > 0):
-        raise ModelError(f"sampling time {period} s: give a time above 0 s")
+    check_sampling_time(period)
     # With every constant known a delay is as long as it is, not as long as its bounds allow.
     known = plant.model.fix(*plant.model.values)
     system, p, x0 = known.system, plant.p, declared_initial_state(known)

@@ -127,3 +127,11 @@ def test_what_is_missing_is_named_with_how_it_is_installed(monkeypatch):
         gb.export.to_acados(micro_actuator)
     with pytest.raises(gb.errors.GreyboxError, match=r"pip install 'greybox-sysid\[do-mpc\]'"):
         gb.export.to_do_mpc(micro_actuator)
+
+
+@pytest.mark.parametrize(
+    "export", [gb.export.to_casadi, gb.export.to_acados, gb.export.to_do_mpc, gb.export.to_control]
+)
+def test_what_is_no_sampling_time_is_refused_by_its_name(export):
+    with pytest.raises(ModelError, match=r"dt='plant\.casadi' is no sampling time; give a number of seconds"):
+        export(micro_actuator, dt="plant.casadi")
