@@ -21,7 +21,7 @@ from greybox.data.experiment import Experiment, name_records
 from greybox.data.read import as_experiments
 from greybox.estimation.errors import OutputRun, PredictionsAhead
 from greybox.estimation.optimum import has_free_run
-from greybox.estimation.options import FitOptions
+from greybox.estimation.options import FitOptions, explain_unknown
 from greybox.estimation.predictor import PredictionCorrection, Predictor, predictor
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace
@@ -128,6 +128,7 @@ class NamedModel:
 COMPARISON_FEWEST_ROWS = 2
 
 
+@explain_unknown
 def compare(
     models: Sequence[ComparedModel | NamedModel] | Mapping[str, ComparedModel],
     experiments: Experiment | Frame | Sequence[Experiment | Frame] = (),

@@ -8,8 +8,9 @@ from typing import Any, Protocol, TypeGuard
 
 import numpy as np
 
+from greybox.base import DataError
 from greybox.data.array_table import ArrayInfo, ArrayTable
-from greybox.data.experiment import UNNAMED
+from greybox.data.experiment import UNNAMED, Experiment
 from greybox.data.file_kinds import FileFormat, RecordFile
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.stamps import is_stamp
@@ -38,8 +39,15 @@ def is_frame(value: Any) -> TypeGuard[Frame]:
 def open_frame(frame: Frame, policy: ReadingPolicy = READING_POLICY) -> RecordFile:
     """A data frame as a file that is open: its index comes first unless it counts the rows; without a name it is the time.
 
-    Raises DataError for columns that are no table.
+    Raises DataError for columns that are no table, and for several records in one mapping.
     """
+    if isinstance(frame, Mapping) and (
+        records := [n for n, v in frame.items() if is_frame(v) or isinstance(v, Experiment)]
+    ):
+        raise DataError(
+            f"{', '.join(map(repr, records))}: a mapping from name to column is one record, and these are records themselves; give them as"
+            " a list, [first, second], or by their names as [gb.read_csv(frame, model, name=name), ...]"
+        )
     index: Any = getattr(frame, "index", None)
     arrays: dict[str, np.ndarray] = {}
     # An index of whole numbers without a name counts the rows, also where some of them were left out.

@@ -147,7 +147,19 @@ def as_experiments(records: Experiment | Frame | Iterable[Any], model: Model) ->
     if isinstance(records, Experiment | str | os.PathLike):
         return (records,)  # type: ignore[return-value]  # whoever gets a path says how it is read
     group: tuple[Any, ...] = (records,) if is_frame(records) else tuple(records)  # type: ignore[arg-type]
-    return tuple(read_csv(record, model, name=UNNAMED) if is_frame(record) else record for record in group)
+    return tuple(_read_frame(record, model) if is_frame(record) else record for record in group)
+
+
+def _read_frame(frame: Frame, model: Model) -> Experiment:
+    """A frame that was given in the place of a record. Raises DataError that says where its options are given."""
+    opened = open_frame(frame)
+    try:
+        return read_csv(opened, model, name=UNNAMED)
+    except DataError as error:
+        raise DataError(
+            f"{error}\nWhat a frame does not state itself is given where it is read: gb.read_csv(frame, model, columns=..., ...) makes the"
+            " record to give in its place"
+        ) from None
 
 
 def read_experiments(

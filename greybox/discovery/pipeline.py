@@ -43,6 +43,7 @@ from greybox.discovery.table import FitTable
 from greybox.estimation import Fit, FitOptions
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit as estimate
+from greybox.estimation.options import explain_unknown
 from greybox.estimation.record_trends import shared_conditions
 from greybox.estimation.transcription.problem import TranscriptionReason, begin_with_known_past
 from greybox.model import Effect, Model
@@ -59,6 +60,7 @@ SEARCH_SHARE = 0.6
 
 
 # A plain model, or a candidate, whose run goes astray has errors beyond all numbers: whoever weighs them looks whether they are finite.
+@explain_unknown
 @np.errstate(over="ignore")
 def discover(
     model: Model | Plant,

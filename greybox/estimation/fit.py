@@ -55,7 +55,7 @@ from greybox.estimation.noise_loop import (
 )
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import Optimum, PredictionOptimum, SimulationOptimum
-from greybox.estimation.options import ColourTreatment, FitOptions, Transcription, resolve_options
+from greybox.estimation.options import ColourTreatment, FitOptions, Transcription, explain_unknown, resolve_options
 from greybox.estimation.prediction_error import (
     estimate_by_prediction_error,
     likelihood_ratio_tests,
@@ -101,6 +101,7 @@ LEAST_BEST_FIT = 5.0
 STARTS_FACTOR = 30.0
 
 
+@explain_unknown
 def fit(
     model: Model | Plant,
     experiments: Experiment | Sequence[Experiment],

@@ -25,7 +25,7 @@ from greybox.estimation.fit import compute_ratio, draw_starts, fit, measure_fres
 from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import SimulationOptimum
-from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
+from greybox.estimation.options import ColourTreatment, FitOptions, explain_unknown, resolve_options
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
 from greybox.estimation.transcription.problem import EstimationProblem, begin_with_known_past, prepare_problem
@@ -165,6 +165,7 @@ class MultiStartResult(Printable):
         return summarise_starts(self.start_results)
 
 
+@explain_unknown
 def multistart(
     model: Model | Plant,
     experiments: Experiment | Sequence[Experiment],

@@ -6,16 +6,19 @@ A decision number changes by ``replace``: ``FitOptions(policy=EstimationPolicy(n
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import StrEnum
-from typing import Any, ClassVar
+from functools import wraps
+from inspect import signature
+from typing import Any, ClassVar, ParamSpec, TypeVar
 
 import numpy as np
 
 from greybox.base import ModelError, nearest, to_json_data
 from greybox.base.numerics import NORMAL_QUADRATURE_POINTS, NORMAL_QUADRATURE_WIDTH
 from greybox.data.noise.noise_model import NoisePolicy
+from greybox.data.read import read_csv
 from greybox.estimation.optim.minimisation import MinimisationPolicy
 from greybox.simulation.integrators.discretisation import DiscretisationPolicy
 
@@ -394,6 +397,41 @@ class FitOptions:
     def to_loss(self) -> RobustLoss | None:
         """The robust loss; None for least squares. Raises ModelError for text that names none."""
         return parse_loss(self.loss, self.policy.huber_threshold)
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def explain_unknown(verb: Callable[P, R]) -> Callable[P, R]:
+    """``verb`` whose error for an argument that it does not have says where that is given: an option, a constant, how a record is read."""
+    known = signature(verb).parameters
+
+    @wraps(verb)
+    def explained(*args: P.args, **given: P.kwargs) -> R:
+        if unknown := {name: value for name, value in given.items() if name not in known}:
+            raise TypeError(
+                "; ".join(_explain_argument(verb.__name__, name, value, list(known)) for name, value in unknown.items())
+            )
+        return verb(*args, **given)
+
+    return explained
+
+
+# Methods of a model that change what a fit does with its constants.
+OF_CONSTANTS = ("fix", "free", "start", "bound", "prior", "tie")
+
+
+def _explain_argument(verb: str, name: str, value: Any, known: Sequence[str]) -> str:
+    refused = f"{verb}() has no argument {name!r}"
+    if name in {f.name for f in fields(FitOptions)}:
+        return f"{refused}: it is an option; write options=gb.FitOptions({name}={value!r})"
+    if name in OF_CONSTANTS:
+        values = ", ".join(f"{n}={v!r}" for n, v in value.items()) if isinstance(value, Mapping) else "..."
+        return f"{refused}: constants are changed in the model, which is given in its place: model.{name}({values})"
+    if name in signature(read_csv).parameters:
+        return f"{refused}: it says how a record is read; give the record gb.read_csv(frame, model, {name}=...)"
+    return f"{refused}; {nearest(name, known)}"
 
 
 def resolve_options(options: Any) -> FitOptions:

@@ -13,7 +13,7 @@ from greybox.data.noise.growing import GrowingNoise
 from greybox.data.read import as_experiments
 from greybox.estimation import errors, noise_loop, optimum, result_parts
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.options import FitOptions, Hessian, Transcription, resolve_options
+from greybox.estimation.options import FitOptions, Hessian, Transcription, explain_unknown, resolve_options
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import (
     EstimationProblem,
@@ -131,6 +131,7 @@ def _cut_to_first_rows(problem: EstimationProblem, rows: Sequence[int]) -> Estim
     return replace(problem, records=records, experiments=())
 
 
+@explain_unknown
 def validate(
     model: Model | Plant,
     experiments: Experiment | Sequence[Experiment],

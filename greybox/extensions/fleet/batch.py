@@ -30,7 +30,7 @@ from greybox.data.noise.noise_model import NoiseModel
 from greybox.data.read import as_experiments
 from greybox.estimation.fit import fit
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
+from greybox.estimation.options import ColourTreatment, FitOptions, explain_unknown, resolve_options
 from greybox.extensions.fleet.records import RecordCollection, RecordReference, find_records
 from greybox.extensions.fleet.result import FleetResult, RecordEstimate, RecordStatus
 from greybox.model import Model
@@ -147,6 +147,7 @@ JOBS_PER_WORKER = 8
 PARALLEL_SECONDS = 8.0
 
 
+@explain_unknown
 def fit_each(
     model: Model | Plant,
     records: RecordCollection | Experiment | Sequence[Experiment] | str | os.PathLike[str],
