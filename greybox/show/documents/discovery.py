@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from greybox.base import Severity, format_unit
 from greybox.base import document as doc
 from greybox.base.json_shape import to_values
-from greybox.base.numerics import TINY
 from greybox.base.values import with_code
 from greybox.discovery.claims import Depth, name_claim
 from greybox.discovery.decision import Grade, Verdict
@@ -60,7 +59,7 @@ def discovery_answer(discovery: Discovery) -> str:
     errors = discovery.holdout
     if not discovery.effects or not errors:
         return first
-    output = max(errors, key=lambda name: errors[name].before / max(errors[name].after, TINY))
+    output = worst_output(errors)
     e = errors[output]
     change = wording.change_text(e.before, e.after, e.unit)
     return f"{first.rstrip('.')}; the error in {output} on the validation records falls from {change}."
