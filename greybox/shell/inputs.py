@@ -440,11 +440,18 @@ def find_model_of(path: Path, named: str, model: str, effects: Iterable[str] = (
         )
     try:
         plant = find_model(model or named)
-        present = [e.name for e in plant.effects]
-        for name in effects:
-            plant = plant if name in present else plant + effect(name)
     except ModelError as error:
         raise ModelError(f"{path}: its model cannot be found: {error}; name its file with --model my/rig.py") from None
+    present = [e.name for e in plant.effects]
+    for name in effects:
+        try:
+            plant = plant if name in present else plant + effect(name)
+        except ModelError as error:
+            # An effect of one's own is in no catalogue: a file has to add it, and a model of that file to be named.
+            raise ModelError(
+                f"{path}: effect {name!r} of its model is neither in {plant.title} nor in the catalogue ({error}); --model takes a file"
+                f" that adds it, such as rig = {plant.name} + {name}"
+            ) from None
     return plant
 
 

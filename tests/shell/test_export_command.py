@@ -12,6 +12,7 @@ import greybox as gb
 from greybox.base.values import Finding
 from greybox.estimation.linear.exported_model import ExportFinding
 from greybox.shell.commands import app
+from greybox.simulation.simulate import simulate_twin
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from models.silverbox import silverbox
@@ -194,3 +195,43 @@ def test_the_exported_python_model_can_be_fitted_again(saved, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert "micro_actuator + coulomb_friction" in done.stdout
+
+
+PLAIN = """
+from greybox import Balance, Input, Model, Output, Parameter, State
+mass = Model(
+    "mass", [State("x", "m"), State("v", "m/s")], [Input("F", "N")], [Output("x", "m")],
+    [Parameter("M", "kg", 1.0, (0.01, 10.0)), Parameter("K", "N/m", 200.0, (1.0, 1e5))],
+    lambda x, u, p: [
+        Balance("position", "m/s", 1, "x", velocity=x.v),
+        Balance("force", "N", p.M, "v", drive=u.F, spring=-p.K * x.x),
+    ],
+)
+"""
+OWN = """
+import greybox as gb
+from plain import mass
+brake = gb.Effect(
+    "brake", "force", [gb.Parameter("ce", "{force}/{velocity}", 0.5, (0.0, 100.0))],
+    terms=lambda x, u, p: -p.ce * x.velocity, equation="-ce v",
+)
+rig = mass + brake
+"""
+
+
+def test_a_result_with_an_effect_of_ones_own_is_exported_with_a_file_that_adds_it(tmp_path, monkeypatch):
+    (tmp_path / "plain.py").write_text(PLAIN)
+    (tmp_path / "own.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    import own
+
+    drive = np.repeat(np.random.default_rng(3).standard_normal(10), 20)
+    record = simulate_twin(own.rig, {"F": drive}, 0.02, {"x": 1e-5}, 1)
+    gb.fit(own.rig, record, noise={"x": 1e-5}).save("f.json")
+    words = ("f.json", "--to", "json", "--no-report", "--output", "out.json", "--model")
+    refused = export(*words, "plain.py")
+    text = " ".join(refused.stderr.split())
+    assert refused.exit_code == 2 and "--model takes a file that adds it, such as rig = mass + brake" in text
+    done = export(*words, "own.py")
+    assert done.exit_code == 0, done.stderr
