@@ -286,9 +286,10 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, rena
         for s, c in zip(signals, (c for c in columns if c.header), strict=True)
         if s.use in ("input", "output")
     }
+    guessed = _with_input(signals)
     if time is not None:
-        findings += _find_faults(time, {h: v for h, v in alike.items() if len(v) == len(time)})
-    return FileSurvey(file.path.name, file.kind.name, _with_input(signals), tuple(findings))
+        findings += _find_faults(time, {h: v for h, v in alike.items() if len(v) == len(time)}, guessed)
+    return FileSurvey(file.path.name, file.kind.name, guessed, tuple(findings))
 
 
 def _is_column(file: file_kinds.RecordFile, position: int) -> bool:
@@ -328,8 +329,9 @@ def _survey_channels(
             key = samples.time.tobytes()
             by_base.setdefault(key, (samples.time, {}))[1][header] = samples.values
             by_name.setdefault(channel.name, []).append((channel.clock, samples))
+    guessed = _with_input(signals)
     for time, alike in by_base.values():
-        findings += _find_faults(time, alike)
+        findings += _find_faults(time, alike, guessed)
     for name, copies in by_name.items():
         first_clock, first = copies[0]
         for other_clock, other in copies[1:]:
@@ -338,19 +340,27 @@ def _survey_channels(
                 figures = {n: float(v) for n, v in offset._asdict().items()}
                 about = {"reference": first_clock, "signal": name, **figures}
                 findings.append(Finding(RecordCode.CLOCK_OFFSET, Severity.WARNING, other_clock, about))
-    return FileSurvey(file.path.name, file.kind.name, _with_input(signals), tuple(findings))
+    return FileSurvey(file.path.name, file.kind.name, guessed, tuple(findings))
 
 
-def _find_faults(time: np.ndarray, signals: Mapping[str, np.ndarray]) -> list[Finding]:
-    """Doubts about each signal; the others of its stamps tell whether the plant moves."""
+# A command stays where it is put and comes back to its ends: of an input that is no fault of a sensor.
+AS_COMMANDED = (RecordCode.SENSOR_FROZEN, RecordCode.SENSOR_DEAD, RecordCode.SENSOR_SATURATED)
+
+
+def _find_faults(time: np.ndarray, signals: Mapping[str, np.ndarray], guessed: Sequence[SignalSurvey]) -> list[Finding]:
+    """Doubts about each signal, by what it may be; the others of its stamps tell whether the plant moves."""
     findings: list[Finding] = []
+    inputs = {s.header for s in guessed if s.use == "input"}
+    left_out = (RecordCode.INPUT_CONSTANT, RecordCode.OUTPUT_GAPS)
     for header, values in signals.items():
         others = {h: v for h, v in signals.items() if h != header and np.isfinite(v).all()}
         if is_held(values):
             continue
         for finding in sensor_faults.inspect_signals(time, others, {header: values}):
-            if finding.subject == header and finding.code not in (RecordCode.INPUT_CONSTANT, RecordCode.OUTPUT_GAPS):
-                findings.append(replace(finding, values={**finding.values, "kind": "signal"}))
+            if finding.subject != header or finding.code in (*left_out, *(AS_COMMANDED if header in inputs else ())):
+                continue
+            kind = "input" if header in inputs else "signal"
+            findings.append(replace(finding, values={**finding.values, "kind": kind}))
     return findings
 
 

@@ -147,3 +147,21 @@ def test_a_column_whose_unit_fits_an_output_without_one_is_offered_by_name(tmp_p
     if offered:
         again = read_csv(tmp_path / "log.csv", find_model(str(tmp_path / "motor.py")), columns={"w": offered})
         np.testing.assert_allclose(again.outputs["w"], 60 * 2 * np.pi / 60 * np.cos(time), rtol=1e-5)
+
+
+def test_an_input_that_comes_back_to_its_ends_is_no_doubtful_sensor(tmp_path):
+    time, generator = 0.01 * np.arange(1200), np.random.default_rng(1)
+    # Ramped between two ends that it stays at, as a valve is driven.
+    valve = np.round(np.clip(5 + 2.5 * np.sin(2 * np.pi * time / 1.5) + 0.3 * np.sin(9 * time), 3.3, 7.3), 3)
+    angle = np.convolve(valve, np.exp(-np.arange(60) / 20) / 20, "full")[: len(time)] + generator.normal(0, 0.01, 1200)
+
+    def doubts(name: str) -> dict[str, str]:
+        path = tmp_path / f"{name}.csv"
+        columns = np.column_stack([time, valve, angle])
+        np.savetxt(path, columns, "%.6g", delimiter=",", header=f"time_s,{name},angle_deg", comments="")
+        return {str(f.code): str(f) for f in survey_file(path).findings if f.subject == name}
+
+    assert doubts("valve_V") == {}
+    # Of the same numbers as what may be an output it is a doubt, and what is said holds of either.
+    as_output = doubts("p_kPa")
+    assert "leave these fields empty (where it is an input, write what acted" in as_output[RecordCode.SENSOR_SATURATED]

@@ -28,7 +28,12 @@ HOLDS = {
     "band-limited": "band-limited input between samples",
     "mean": "input as means over the interval before each row",
 }
-_LEAVE_EMPTY = "leave these fields empty"
+# What to do about readings that are none: an input needs a value in every row.
+_REMEDIES = {
+    "output": "leave these fields empty",
+    "signal": "leave these fields empty (where it is an input, write what acted: it needs a value in every row)",
+    "input": "write what acted there: an input needs a value in every row",
+}
 
 
 def _about_records(template: str | Callable[[Finding], str]) -> Callable[[Finding], str]:
@@ -36,6 +41,7 @@ def _about_records(template: str | Callable[[Finding], str]) -> Callable[[Findin
 
     def write(finding: Finding) -> str:
         values = {"subject": finding.subject, "kind": "output", **finding.values}
+        values["remedy"] = _REMEDIES.get(values["kind"], _REMEDIES["output"])
         text = fill_in(template, (), values) if isinstance(template, str) else template(finding)
         records = finding.values.get("records", ())
         return f"{', '.join(records)}: {text}" if records else text
@@ -44,12 +50,11 @@ def _about_records(template: str | Callable[[Finding], str]) -> Callable[[Findin
 
 
 def _spikes(finding: Finding) -> str:
-    count, times = finding.values["count"], finding.values["times"]
+    count, times, kind = finding.values["count"], finding.values["times"], finding.values.get("kind", "output")
     places = enumerate_first([f"{t:.6g} s" for t in times], count)
     return (
-        f"{finding.values.get('kind', 'output')} {finding.subject!r} jumps away and back within one row, {count}"
-        f" time{'s' * (count != 1)} (at {places}): if this is"
-        f" a fault of the sensor and not the motion of the plant, {_LEAVE_EMPTY}, or fit with a robust loss,"
+        f"{kind} {finding.subject!r} jumps away and back within one row, {count} time{'s' * (count != 1)} (at {places}): if this is"
+        f" a fault of the sensor and not the motion of the plant, {_REMEDIES[kind]}, or fit with a robust loss,"
         " FitOptions(loss='huber') (shell: --loss huber)"
     )
 
@@ -139,18 +144,16 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     " unseen, {times} times, first between {start:.6g} and {stop:.6g} s: the number of turns is a guess there; sample it faster, or split"
     " the record there (--split-holes)",
     RecordCode.SENSOR_FROZEN: "{kind} '{subject}' stays at exactly {value:g} for {rows} rows, from {start:.6g} to {stop:.6g} s,"
-    " while the input moves, with a jump before or after: if the sensor or the logger failed, " + _LEAVE_EMPTY,
+    " while the input moves, with a jump before or after: if the sensor or the logger failed, {remedy}",
     RecordCode.SENSOR_DEAD: "{kind} '{subject}' stays at exactly {value:g} from {start:.6g} s to the end ({rows} rows) while the"
-    " input keeps moving: if the sensor or the logger failed, " + _LEAVE_EMPTY,
+    " input keeps moving: if the sensor or the logger failed, {remedy}",
     RecordCode.SENSOR_SPIKES: _spikes,
     RecordCode.SPIKES_LEFT_OUT: "{count:noun reading} of output {subject!r} that {count:jumps|jump} away and back within one row left out,"
     " as a robust loss was asked for",
     RecordCode.CODE_FOR_MISSING: "{kind} '{subject}' is exactly {value:.6g} in {rows} rows (first at {start:.6g} s), far from all its other"
-    " values: if this stands for a missing reading, leave these fields empty",
+    " values: if this stands for a missing reading, {remedy}",
     RecordCode.SENSOR_SATURATED: "{kind} '{subject}' reads exactly its {end} value, {value:g}, in {rows} rows and stays there"
-    " {stays} times: if the sensor or the converter saturates, "
-    + _LEAVE_EMPTY
-    + " (an end stop of the plant looks the same)",
+    " {stays} times: if the sensor or the converter saturates, {remedy} (an end stop of the plant looks the same)",
     RecordCode.READING_COARSE: "{kind} '{subject}' reads in steps of {step:.4g}, which alone make an error of 0.29 steps (rms)",
     RecordCode.SENT_ON_CHANGE: lambda f: (
         f"{f.values.get('kind', 'output')} {f.subject!r} is sent when it has changed by {f.values['band']:.4g}: "

@@ -392,3 +392,9 @@ def test_a_survey_is_a_table_with_the_columns_to_name():
     assert lines[4].endswith("200      100 Hz, irregular  0 - 2 s    -1 to 1  2 gaps, 3 empty  output")
     assert '  gb.Input("value", "V")' in lines and '  gb.Output("x", "mm")' in lines
     assert lines[-1] == "columns for it: --column value='/cmd.value [V]'"
+
+
+def test_an_input_is_not_to_be_left_empty():
+    values = {"kind": "input", "value": -999.0, "rows": 5, "start": 2.5}
+    written = sentence(Finding(RecordCode.CODE_FOR_MISSING, subject="u", values=values))
+    assert written.endswith("write what acted there: an input needs a value in every row")
