@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from greybox.base.frames import make_frame
 from greybox.base.json_file import read_json, write_json
 from greybox.base.json_shape import FileKind
 from greybox.base.values import Finding, Printable
@@ -286,6 +287,26 @@ class Comparison(Printable):
         """The scores that decide: on the validation records, or on the estimation records where there are no others."""
         scores = entry.validation if self.validation else entry.training
         return {output: score for output, score in scores.items() if output not in entry.failed_outputs}
+
+    def to_frame(self) -> Any:
+        """A pandas data frame with a row for each model and output, the best first: what decides, on the records that judge.
+
+        Columns are output, unit, kind, parameters, error (rms of the free run, in the unit), fit in per cent and the records that judge.
+        Raises ModuleNotFoundError without pandas (``pip install 'greybox-sysid[frames]'``).
+        """
+        scored = [(e, output, s) for e in self.entries for output, s in self.deciding_scores(e).items()]
+        order = list(self.outputs)
+        scored.sort(key=lambda row: (order.index(row[1]), not np.isfinite(row[2].rmse), row[2].rmse))
+        columns: dict[str, list[Any]] = {
+            "output": [output for _, output, _ in scored],
+            "unit": [self.outputs[output] for _, output, _ in scored],
+            "kind": [str(e.kind) for e, _, _ in scored],
+            "parameters": [e.parameters for e, _, _ in scored],
+            "error": [s.rmse for _, _, s in scored],
+            "fit_percent": [s.best_fit_percent for _, _, s in scored],
+            "records": ["validation" if self.validation else "estimation"] * len(scored),
+        }
+        return make_frame("model", [e.name for e, _, _ in scored], columns)
 
 
 # A comparison as JSON: ``compare.json``.

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, NotRequired, TypedDict
 
 from greybox.base import Check, FileKind, Finding, Finite, Interval, Printable, StoredResult, read_json
+from greybox.base.frames import make_frame
 from greybox.data.input_course import Holds
 from greybox.discovery.claims import Claim, name_claim, order_of_name
 from greybox.discovery.decision import Grade, Verdict
@@ -368,6 +370,23 @@ class Discovery(Printable, StoredResult):
                     entry["memory"] = law.memory
             effects.append(entry)
         return effects
+
+    def to_frame(self) -> Any:
+        """A pandas data frame with a row for each set of effects that was fitted, best first.
+
+        Columns are the constants that it adds, its misfit over noise on the estimation records, how far its criterion lies behind, whether
+        it is the answer, and ``error in OUTPUT`` on the validation records (NaN for a set that nobody ran there).
+        Raises ModuleNotFoundError without pandas (``pip install 'greybox-sysid[frames]'``).
+        """
+        chosen = {effect["name"] for effect in self.effects}
+        columns: dict[str, list[Any]] = {
+            "constants": [r.constants for r in self.ranking],
+            "misfit": [r.misfit for r in self.ranking],
+            "behind": [r.behind for r in self.ranking],
+            "answer": [set(r.effects) == chosen for r in self.ranking],
+        }
+        errors = {f"error in {name}": [r.errors.get(name, math.nan) for r in self.ranking] for name in self.holdout}
+        return make_frame("effects", [" + ".join(r.effects) or "none" for r in self.ranking], columns | errors)
 
 
 def quote_test_error(result: Discovery, plain: Fit, answer: Fit) -> Discovery:

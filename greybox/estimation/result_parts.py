@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from greybox.base import Finding
+from greybox.base.frames import make_frame
 from greybox.base.json_shape import Finite, FiniteArray, Interval, Matrix, Unbounded
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.experiment import Experiment
@@ -101,15 +102,15 @@ class Estimates(Mapping[str, Estimate]):
 
         Raises ModuleNotFoundError without pandas (``pip install 'greybox-sysid[frames]'``).
         """
-        import pandas
-
-        rows = [
-            (e.value, e.std, *(e.interval or (None, None)), e.unit, e.fixed, e.at_bound, e.determined)
-            for e in self.values()
-        ]
-        heads = ["value", "std", "low", "high", "unit", "fixed", "at_bound", "determined"]
-        frame = pandas.DataFrame(rows, pandas.Index(list(self), name="parameter"), heads)
-        return frame.astype(dict.fromkeys(heads[:4], float))
+        intervals = [e.interval or (None, None) for e in self.values()]
+        columns: dict[str, Any] = {
+            "value": np.array([e.value for e in self.values()], float),
+            "std": np.array([e.std for e in self.values()], float),
+            "low": np.array([low for low, _ in intervals], float),
+            "high": np.array([high for _, high in intervals], float),
+        }
+        columns |= {n: [getattr(e, n) for e in self.values()] for n in ("unit", "fixed", "at_bound", "determined")}
+        return make_frame("parameter", list(self), columns)
 
     def _repr_html_(self) -> str | None:
         """What a notebook shows; the plain text where there is no pandas."""

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import TINY, ModelError, nearest, write_file
+from greybox.base.frames import make_frame
 from greybox.base.numerics import REFERENCE_TOLERANCE, ROWS_AT_A_TIME
 from greybox.data.columns import ColumnMapping
 from greybox.data.data_frame import Frame, is_frame, open_frame
@@ -124,6 +125,14 @@ class Simulation:
         everything = np.column_stack([*self.outputs.values(), *self.states.values()])
         bad = np.flatnonzero(~np.isfinite(everything).all(axis=1))
         return float(self.time[bad[0]]) if len(bad) else None
+
+    def to_frame(self) -> Any:
+        """A pandas data frame with the time in seconds as its index: inputs, outputs, and the states that no output is called like.
+
+        Raises ModuleNotFoundError without pandas (``pip install 'greybox-sysid[frames]'``).
+        """
+        hidden = {name: values for name, values in self.states.items() if name not in self.outputs}
+        return make_frame("time", self.time, {**self.inputs, **self.outputs, **hidden})
 
     def record(
         self, noise: Mapping[str, float] | None = None, generator: np.random.Generator | None = None

@@ -151,3 +151,21 @@ def test_every_verb_reads_a_table_as_a_file(frame, form):
     assert compared == pytest.approx(expected, rel=1e-6)
     assert gb.fit_each(lag, [given, given], noise={"x": 1e-3}, workers=1).records
     assert not gb.detect_changes(fit, given, search_effects=False).moved
+
+
+def test_a_simulation_and_a_comparison_are_frames(frame):
+    fit = gb.fit(lag, frame, noise={"x": 1e-3})
+    run = gb.simulate(fit.model, frame)
+    table = run.to_frame()
+    assert table.index.name == "time" and list(table.columns) == [*run.inputs, *run.outputs]
+    np.testing.assert_array_equal(table["x"].to_numpy(), run.outputs["x"])
+    np.testing.assert_array_equal(table.index.to_numpy(), run.time)
+    # What a simulation gives is a record again.
+    np.testing.assert_allclose(gb.read_csv(table, lag).outputs["x"], run.outputs["x"], rtol=1e-15)
+    comparison = gb.compare({"fitted": fit, "stated": lag}, frame)
+    rows = comparison.to_frame()
+    assert rows.index.name == "model" and set(rows.index) == {"fitted", "stated"}
+    for name, row in rows.iterrows():
+        score = comparison.deciding_scores(comparison[name])["x"]
+        assert (row["error"], row["fit_percent"]) == (score.rmse, score.best_fit_percent)
+    assert rows["error"].is_monotonic_increasing
