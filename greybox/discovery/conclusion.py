@@ -150,7 +150,7 @@ def _put_usual_first(answer: SearchAnswer) -> SearchAnswer:
             return replace(answer, question=preference.question)
         preferred = _hand_over(answer, preference.candidate)
         # On the table its constants follow the records that judge: what does no better there with its own gives way to the next.
-        if judge_against_plain(preferred.base, preferred.best, answer.validation.uncounted):
+        if _holds_where_judged(preferred):
             break
         refused.add(preference.candidate.names)
     names = set(answer.grounds.names or ()) & set(preferred.candidate.names)
@@ -164,6 +164,15 @@ def _put_usual_first(answer: SearchAnswer) -> SearchAnswer:
     if answer.verdict is Verdict.AMBIGUOUS and preferred.verdict is not Verdict.AMBIGUOUS:
         return replace(answer, question=preference.question)
     return replace(preferred, usual=preference.finding, question=preference.question)
+
+
+def _holds_where_judged(answer: SearchAnswer) -> bool:
+    """Whether an answer does better than the plain model on the records that judge, be it with constants of their first halves too."""
+    if judge_against_plain(answer.base, answer.best, answer.validation.uncounted):
+        return True
+    learn = partial(_learn_from_validation, answer)
+    learnt = answer.problem.failures.attempt(SearchStage.HOLDOUT, answer.candidate.effects, learn, None)
+    return learnt is not None and bool(judge_against_plain(learnt.base, learnt.best, learnt.validation.uncounted))
 
 
 def may_leave_more(chosen: FittedCandidate, left: float, is_noise_known: bool) -> bool:
