@@ -26,7 +26,7 @@ from typing import Any
 
 import cloudpickle
 
-from greybox.base.values import MadeOfFunctions, ReadOnly
+from greybox.base.values import ReadOnly
 
 # Values as bytes for another process of the same version.
 #
@@ -85,7 +85,8 @@ class _Pickler(cloudpickle.Pickler):
             return MappingProxyType, (dict(obj),)
         if isinstance(obj, ReadOnly):
             return ReadOnly.__reduce__(obj)
-        if isinstance(obj, MadeOfFunctions):
+        # A `MadeOfFunctions`, by what it does: that module imports this one.
+        if hasattr(type(obj), "restate"):
             return obj.restate()
         return super().reducer_override(obj)
 
