@@ -265,7 +265,7 @@ def _leave_out_moving(pieces: Sequence[np.ndarray]) -> list[np.ndarray]:
         # The mean square of n samples with correlations rho_k varies as that of n / (1 + 2 sum rho_k^2) independent ones (Bartlett 1935).
         noise = fit_autoregression(join_series(others))
         colour = 1 + 2 * float((noise.autocorrelation(len(loudest))[1:] ** 2).sum())
-        if noise.memory > QUIET_MEMORY:
+        if noise.memory > QUIET_MEMORY or not square > 0:
             break
         limit = variance_ratio.isf(LOUD_CHANCE / len(kept), freedom / colour, rest / colour)
         if not float(loudest @ loudest) / freedom > limit * square:
