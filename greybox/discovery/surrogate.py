@@ -173,6 +173,10 @@ def fit_stand_in(answer: SearchAnswer) -> Surrogate | None:
         best = _find_best(search, nearest)
     if best is None:
         return None
+    sums = search.table.sums(best)
+    # To finish a curve of many heights may cost more than the search: not of one that the table has behind the look-alike.
+    if helps and plain is not None and sums is not None and _closes(plain, sums) < min(explained, 1.0):
+        return None
     place = search.places[key_of(best)]
     describe = _describe_tone if TONE in best.effects else _describe_curve
     surrogate = describe(answer, best, place)

@@ -7,6 +7,7 @@ import pytest
 
 import greybox as gb
 from greybox.base.values import with_code
+from greybox.discovery import surrogate
 from greybox.discovery.curve_shape import Parity, ShapeKind
 from greybox.discovery.disturbance_sites import list_disturbance_sites
 from greybox.discovery.findings import DiscoveryCode
@@ -120,3 +121,16 @@ def test_a_power_starts_as_the_signal_shows_it(power):
     named = {q.name: q.value for q in effect.parameters} | start
     added = effect.terms({"v": 0.05}, None, SimpleNamespace(**named))
     assert added == pytest.approx(-4.0 * 0.05**power, rel=0.02)
+
+
+def test_a_curve_that_the_table_has_behind_the_look_alike_is_not_finished(monkeypatch):
+    """Finishing it took six times as long as the search, and nobody saw it."""
+    sums = {"plain": SimpleNamespace(judged_rms=np.array([20.0])), "curve": SimpleNamespace(judged_rms=np.array([6.0]))}
+    search = SimpleNamespace(
+        baseline="plain", table=SimpleNamespace(sums=sums.get), policy=DiscoveryPolicy(), places={"curve": None}
+    )
+    monkeypatch.setattr(surrogate, "add_free_forms", lambda *_: None)
+    monkeypatch.setattr(surrogate, "_find_best", lambda *_: "curve")
+    nearest = SimpleNamespace(effects=("coulomb_friction",))
+    answer = SimpleNamespace(search=search, candidate=nearest, plain=None, explained_fraction=0.95)
+    assert surrogate.fit_stand_in(answer) is None
