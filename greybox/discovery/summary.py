@@ -12,7 +12,7 @@ from greybox.base import Finding
 from greybox.base.json_shape import to_values
 from greybox.discovery.answer import SearchAnswer
 from greybox.discovery.claims import SENSOR_CLASS, Claim, deepest_established, name_claim, place_within_sensor_class
-from greybox.discovery.decision import Grade, Verdict
+from greybox.discovery.decision import Grade, Verdict, judge_holdout, judge_residual
 from greybox.discovery.effect_signal import RemainingError
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import PARTIAL_SHARE, VALIDATION_SHARE, HoldoutError, worst_output
@@ -22,15 +22,13 @@ from greybox.discovery.surrogate import Surrogate, find_missing_sites
 
 
 def _list_rest(answer: SearchAnswer) -> list[str]:
-    """Where the model of an answer leaves more than noise: ``fitted`` records, ``judging`` records, or a ``correlated`` residual."""
-    passed = {check.rule: check.passed for check in answer.rest.checks}
-    is_explained = passed.get(DiscoveryRule.HOLDOUT_EXPLAINED, True) or (
-        passed[DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED] and passed[DiscoveryRule.HOLDOUT_NOISE]
-    )
+    """Where the model of an answer leaves more than noise: on ``fitted``, ``judging`` or ``test`` records; a ``correlated`` residual."""
+    policy = answer.search.policy.selection
     seen = {
-        "fitted": not (passed.get(DiscoveryRule.CLEAN_RESIDUAL, True) or passed[DiscoveryRule.SMALL_REMAINDER]),
-        "judging": passed.get(DiscoveryRule.HOLDOUT_GAP, False) and not is_explained,
-        "correlated": not passed.get(DiscoveryRule.WHITE_RESIDUAL, True),
+        "fitted": not judge_residual(answer.plain, answer.candidate),
+        "judging": not judge_holdout(answer.holdout, answer.noise_limits, policy),
+        "test": answer.on_test is not None and not answer.on_test,
+        "correlated": any(c.rule == DiscoveryRule.WHITE_RESIDUAL and not c.passed for c in answer.rest.checks),
     }
     return [place for place, is_seen in seen.items() if is_seen]
 

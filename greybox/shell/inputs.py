@@ -399,10 +399,12 @@ def load_fitted_model(path: Path, command: str) -> Model:
     from greybox.base import read_json
     from greybox.estimation.result import Fit
 
+    if describes_discovery(path):
+        return load_fit_with_model(path).model  # refused, with what to type
+    data = read_json(path, Fit)
     try:
-        return load_fit_with_model(path).model
+        find_model_of(path, data["model"], "", data["effects"])
     except ModelError:
-        data = read_json(path, Fit)
         effects = [f"--effect {name}" for name in data["effects"]]
         estimates = data["parameters"].items()
         values = [f"--{'fix' if e['fixed'] else 'start'} {name}={e['value']:.9g}" for name, e in estimates]
@@ -410,6 +412,8 @@ def load_fitted_model(path: Path, command: str) -> Model:
         raise ModelError(
             f"{path}: its model {data['model']!r} is not found by its name (greybox models); give its file, and these values: {typed}"
         ) from None
+    # What else speaks against it (a model that was edited since) is said as it is.
+    return load_fit_with_model(path).model
 
 
 def describes_discovery(path: Path) -> bool:

@@ -256,17 +256,18 @@ def _leave_out_moving(pieces: Sequence[np.ndarray]) -> list[np.ndarray]:
     """The pieces without the few that are louder than all others by more than chance: there the plant still swung or crept."""
     from scipy.stats import f as variance_ratio
 
-    kept = sorted(pieces, key=lambda piece: float(piece @ piece) / max(len(piece) - 1, 1))
+    kept = list(pieces)
     most = MOST_MOVING * sum(map(len, kept))
-    while len(kept) > 2 and len(kept[-1]) <= most:
-        loudest, others = kept[-1], kept[:-1]
+    while len(kept) > 2:
+        loudest = max(kept, key=lambda piece: float(piece @ piece) / (len(piece) - 1))
+        others = [piece for piece in kept if piece is not loudest]
         freedom, rest = len(loudest) - 1, sum(len(piece) - 1 for piece in others)
         square = sum(float(piece @ piece) for piece in others) / rest
-        # The mean square of n samples with correlations rho_k varies as that of n / (1 + 2 sum rho_k^2) independent ones (Bartlett 1935).
         noise = fit_autoregression(join_series(others))
-        colour = 1 + 2 * float((noise.autocorrelation(len(loudest))[1:] ** 2).sum())
-        if noise.memory > QUIET_MEMORY or not square > 0:
+        if len(loudest) > most or noise.memory > QUIET_MEMORY or not square > 0:
             break
+        # The mean square of n samples with correlations rho_k varies as that of n / (1 + 2 sum rho_k^2) independent ones (Bartlett 1935).
+        colour = 1 + 2 * float((noise.autocorrelation(len(loudest))[1:] ** 2).sum())
         limit = variance_ratio.isf(LOUD_CHANCE / len(kept), freedom / colour, rest / colour)
         if not float(loudest @ loudest) / freedom > limit * square:
             break

@@ -44,10 +44,8 @@ def describe_check(check: ModelCheck, *, command: str = "") -> doc.Document:
     """What is said of a check; ``command`` is what was typed."""
     names = join_names([q.name for q in check.model.free_parameters]) or "the parameters"
     # Doubtful sensors, units that no header states, holes, what any record leaves open and the remedy, what is known of these records.
-    notes, structure = (
-        [*_doubts(check, lambda f: is_sensor_fault(f) or f.code in UNITS_TAKEN), *_gaps(check)],
-        check.structure,
-    )
+    notes = [*_doubts(check, lambda f: is_sensor_fault(f) or f.code in UNITS_TAKEN), *_gaps(check)]
+    structure = check.structure
     # What any record leaves open is no news where priors close it.
     is_open = not check.practical.constants or bool(check.practical.undetermined)
     if structure is not None and not structure.complete and is_open:

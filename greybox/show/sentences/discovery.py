@@ -359,6 +359,7 @@ def _error_reduced(finding: Finding) -> str:
 _REST = {
     "fitted": "the fitted records show more than noise",
     "judging": "the validation records show more than noise",
+    "test": "the test records show more than noise",
     "correlated": "what is left goes on from reading to reading, which the noise does not",
 }
 

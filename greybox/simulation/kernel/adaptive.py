@@ -92,9 +92,10 @@ class AdaptiveKernel(KernelInParts):
         units = list(step.adaptive.units)
         self._units = [units.index(unit) for unit in units]
         # Low and high limit of each state (2, nx); C has no infinite constant.
-        self._limits = np.tile([[-np.finfo(float).max], [np.finfo(float).max]], self.sizes.nx)
+        self._is_limited, most = bool(step.adaptive.limits), np.finfo(float).max
+        self._limits = np.tile([[-most], [most]], self.sizes.nx)
         for k, low, high in step.adaptive.limits:
-            self._limits[:, k] = max(low, self._limits[0, k]), min(high, self._limits[1, k])
+            self._limits[:, k] = np.clip((low, high), -most, most)
         self._libraries: dict[tuple[int, int], Any] = {}
         self.work = np.zeros(4, np.int64)
         """Steps, steps refused, Jacobians and factorisations so far."""
@@ -246,7 +247,7 @@ class AdaptiveKernel(KernelInParts):
             constants |= {"W": width, "NB": blocks}
         arrays = {"int JACOBIAN_ROW": row, "int JACOBIAN_COLUMN": column, "double NODES": esdirk.NODES}
         arrays |= {"int UNIT": np.array(self._units), "double LESS": esdirk.LESS, "double TABLE": esdirk.TABLE.ravel()}
-        if np.abs(self._limits).min() < np.finfo(float).max:
+        if self._is_limited:
             constants["LIMITED"] = 1
             arrays |= {"double LOW": self._limits[0], "double HIGH": self._limits[1]}
         if self._elimination is not None:

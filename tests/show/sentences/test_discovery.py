@@ -378,11 +378,12 @@ FINDINGS = [
             {
                 "established": ["cubic_stiffness"],
                 "others": {"input_offset": "probable", "backlash": "stand_in"},
-                "left": ["judging", "correlated"],
+                "left": ["judging", "test", "correlated"],
             },
         ),
         "Cubic stiffness is established; input offset is probable; backlash is only a stand-in for something else. More is missing: the"
-        " validation records show more than noise and what is left goes on from reading to reading, which the noise does not.",
+        " validation records show more than noise, the test records show more than noise and what is left goes on from reading to"
+        " reading, which the noise does not.",
     ),
     (
         Code.EFFECTS_ESTABLISHED,
