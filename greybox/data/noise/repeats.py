@@ -226,7 +226,7 @@ def find_flat_pieces(experiments: Sequence[Experiment], output: str, inputs: Seq
                 pieces.append(piece)
     columns = [e.outputs[output] for e in experiments if output in e.outputs]
     rounding = estimate_resolution(columns) / np.sqrt(12)
-    pieces = _leave_out_moving(pieces)
+    pieces = _leave_out_moving(pieces, rounding)
     counts = np.array([len(piece) - 1 for piece in pieces], float)
     if counts.sum() < FLAT_MIN_SAMPLES:
         return None
@@ -252,11 +252,16 @@ MOST_MOVING = 0.25
 QUIET_MEMORY = 3.0
 
 
-def _leave_out_moving(pieces: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The pieces without the few that are louder than all others by more than chance: there the plant still swung or crept."""
+def _leave_out_moving(pieces: Sequence[np.ndarray], rounding: float) -> list[np.ndarray]:
+    """The pieces without the few that are louder than all others by more than chance: there the plant still swung or crept.
+
+    Where most show one code of the sensor, the quiet ones show no noise, and so none that is louder.
+    """
     from scipy.stats import f as variance_ratio
 
     kept = list(pieces)
+    if np.median([piece.std() for piece in kept] or [0.0]) <= rounding:
+        return kept
     most = MOST_MOVING * sum(map(len, kept))
     while len(kept) > 2:
         loudest = max(kept, key=lambda piece: float(piece @ piece) / (len(piece) - 1))
