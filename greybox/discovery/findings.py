@@ -91,7 +91,6 @@ class DiscoveryCode(StrEnum):
     STATE_NOISE = "state_noise"
     CHECK_NOISE = "check_noise"
     EXTEND_ESTIMATION_RECORDS = "extend_estimation_records"
-    COVER_VALIDATION_RANGE = "cover_validation_range"
     SUSPECT_MAINS = "suspect_mains"
     SUSPECT_MACHINE = "suspect_machine"
     USE_TONE_MODEL = "use_tone_model"

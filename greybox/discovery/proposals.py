@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.residual_noise import INDEPENDENT_SOURCES
 from greybox.discovery.surrogate import Surrogate
-from greybox.estimation.findings import FAR_NOISE_RATIO
+from greybox.estimation.findings import FAR_NOISE_RATIO, find_range_beyond
 from greybox.estimation.result import Fit
 from greybox.model.effects.catalogue import AT, all_effects
 
@@ -135,7 +135,9 @@ def _propose(
         yield Finding(DiscoveryCode.STATE_NOISE, Severity.WARNING, ", ".join(guessed), {"outputs": guessed})
     if not location.is_missing:
         yield Finding(DiscoveryCode.EXTEND_ESTIMATION_RECORDS)
-    beyond = None if suffices else _range_beyond_estimation(base, location, surrogate, validation)
+    beyond = (
+        None if suffices else find_range_beyond([trace.experiment for trace in base.traces], validation, base.model)
+    )
     if beyond is not None:
         yield beyond
     # A stand-in that explains nothing says nothing of the cause; what the localisation saw does.
@@ -242,39 +244,3 @@ def _suspect_part(variable: str, unit: str, period: float | None, shape: CurveSh
         values = {"position": shape.position, "unit": unit}
         return Finding(DiscoveryCode.SUSPECT_CONTACT, subject=variable, values=values)
     return None
-
-
-# Share of the range of a variable by which validation records must extend beyond the estimation records to be reported.
-RANGE_MARGIN = 0.1
-
-
-def _range_beyond_estimation(
-    base: Fit,
-    location: ResidualLocalisation,
-    surrogate: Surrogate | None,
-    validation: Sequence[Experiment],
-) -> Finding | None:
-    """Where the validation records extend beyond the range in which the signal, or the curve, is known."""
-    if surrogate is not None:
-        dependence, signal = surrogate.dependence, surrogate.signal
-    elif location.dependences and location.signal is not None:
-        dependence, signal = location.dependences[0], location.signal
-    else:
-        return None
-    variable = dependence.variable
-    if variable not in signal.variables:
-        return None
-    estimated = [v for t in base.traces for v in _values(t.measured, t.inputs, variable)]
-    validated = [v for e in validation for v in _values(e.outputs, e.inputs, variable)]
-    if not estimated or not validated:
-        return None
-    low, high = float(np.nanmin(np.concatenate(estimated))), float(np.nanmax(np.concatenate(estimated)))
-    least, most = float(np.nanmin(np.concatenate(validated))), float(np.nanmax(np.concatenate(validated)))
-    if min(least - low, high - most) >= -RANGE_MARGIN * (high - low):
-        return None
-    values = {"low": low, "high": high, "least": least, "most": most, "unit": dependence.unit}
-    return Finding(DiscoveryCode.COVER_VALIDATION_RANGE, Severity.WARNING, variable, values)
-
-
-def _values(outputs: Mapping[str, np.ndarray], inputs: Mapping[str, np.ndarray], name: str) -> list[np.ndarray]:
-    return [signals[name] for signals in (outputs, inputs) if name in signals]

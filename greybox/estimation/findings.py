@@ -25,8 +25,8 @@ from greybox.estimation.objective import ProcessNoiseTest
 from greybox.estimation.optimum import Optimum, PredictionOptimum
 from greybox.estimation.parameter_constancy import NOISE_RATIO, find_certain_ratio
 from greybox.estimation.record_trends import find_shared_noise, find_trend, shared_conditions, trend_values
-from greybox.estimation.result import FOLLOWED_PERCENT
-from greybox.estimation.result_parts import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
+from greybox.estimation.result import FOLLOWED_PERCENT, Fit
+from greybox.estimation.result_parts import Estimate, IntervalKind, PriorCheck, RobustReport, Trace, Validation
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.model import Model
@@ -74,6 +74,7 @@ class EstimationCode(StrEnum):
     INTEGRATION_TOO_COARSE = "integration_too_coarse"
     RELATION_NOT_MET = "relation_not_met"
     STEP_MOVES_PARAMETERS = "step_moves_parameters"
+    VALIDATION_BEYOND_RANGE = "validation_beyond_range"
     VALIDATION_ERROR_LARGER = "validation_error_larger"
     # What was asked for.
     PRIOR_CONFLICT = "prior_conflict"
@@ -689,13 +690,43 @@ def list_shared_noise(fitted: Sequence[Trace], judging: Sequence[Trace] = ()) ->
     ]
 
 
-def find_validation_issues(misfit: Mapping[str, Misfit], validation: Mapping[str, Misfit]) -> tuple[Finding, ...]:
-    """Outputs whose error is clearly larger on records that were not fitted."""
-    return tuple(
+def find_validation_issues(fitted: Fit, validation: Validation) -> tuple[Finding, ...]:
+    """Outputs whose error is clearly larger on records that were not fitted; before them, that these go where no fitted one has been."""
+    misfit = fitted.misfit
+    larger = [
         Finding(EstimationCode.VALIDATION_ERROR_LARGER, Severity.WARNING, name, {"ratio": m.rmse / misfit[name].rmse})
-        for name, m in validation.items()
+        for name, m in validation.misfit.items()
         if name in misfit and m.noise_ratio > NOISE_RATIO and m.rmse > VALIDATION_RATIO * misfit[name].rmse
-    )
+    ]
+    known, judging = ([trace.experiment for trace in traces] for traces in (fitted.traces, validation.traces))
+    beyond = find_range_beyond(known, judging, fitted.model) if larger else None
+    return (*([beyond] if beyond else []), *larger)
+
+
+# Share of the fitted range of a signal beyond which a reading is outside it, and share of such rows from which records judge what none
+# of the fitted ones has shown.
+RANGE_MARGIN, BEYOND_SHARE = 0.1, 0.1
+
+
+def find_range_beyond(fitted: Sequence[Experiment], judging: Sequence[Experiment], model: Model) -> Finding | None:
+    """The input or output that leaves its fitted range for most of the rows of the judging records; None where all stay within."""
+    units, beyond = {i.name: i.unit for i in model.inputs} | {o.name: o.unit for o in model.outputs}, []
+    for name in units:
+        known, judged = (
+            np.concatenate([s[name] for e in records for s in (e.inputs, e.outputs) if name in s] or [np.empty(0)])
+            for records in (fitted, judging)
+        )
+        known, judged = known[np.isfinite(known)], judged[np.isfinite(judged)]
+        if not (len(known) and len(judged)):
+            continue
+        low, high = float(known.min()), float(known.max())
+        margin = RANGE_MARGIN * (high - low)
+        share = float(np.mean((judged < low - margin) | (judged > high + margin)))
+        reach = {"least": float(judged.min()), "most": float(judged.max())}
+        values = {"low": low, "high": high, **reach, "unit": units[name], "share": share}
+        beyond.append(Finding(EstimationCode.VALIDATION_BEYOND_RANGE, Severity.WARNING, name, values))
+    worst = max(beyond, key=lambda finding: finding.values["share"], default=None)
+    return worst if worst is not None and worst.values["share"] >= BEYOND_SHARE else None
 
 
 def add_record_findings(

@@ -302,7 +302,7 @@ def fit(
                 for f in collect_record_findings(e for e in judges if e not in validation)
                 if f.code == RecordCode.ALSO_FITTED
             ),
-            *find_validation_issues(result.misfit, judged.misfit),
+            *find_validation_issues(result, judged),
             *list_shared_noise(result.traces[:PAIRED_RECORDS], judged.traces[:PAIRED_RECORDS]),
         )
         result = replace(result, validation=judged, findings=(*result.findings, *issues))

@@ -17,6 +17,7 @@ from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.proposals import propose_next_steps, propose_noise_check
 from greybox.discovery.surrogate import find_missing_sites
 from greybox.discovery.surrogate_effects import make_power_effect
+from greybox.estimation.findings import EstimationCode
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
@@ -82,7 +83,7 @@ def test_a_validation_record_that_reaches_beyond_the_estimation_records_is_repor
     base, location, surrogate, test = fit_surrogate(pneumatic_cylinder, COGGING, {"s": 2e-4}, rows=300)
     far = gb.Experiment("far", test.time, test.inputs, {"s": 3 * test.outputs["s"]})
     proposals = propose_next_steps(base, location, surrogate, (far,), POLICY)
-    (beyond,) = with_code(proposals, DiscoveryCode.COVER_VALIDATION_RANGE)
+    (beyond,) = with_code(proposals, EstimationCode.VALIDATION_BEYOND_RANGE)
     assert beyond.subject == "s"
     assert beyond.values["most"] > beyond.values["high"]
     same = base.traces[0].experiment

@@ -349,6 +349,27 @@ def test_validation_estimates_only_the_initial_state_from_the_first_rows():
         validate(truth, other, skip=5000)
 
 
+@pytest.mark.parametrize(("low", "high", "beyond"), [(-1, 1, 0.0), (-0.9, 1.05, 0.0), (1.2, 3, 1.0), (-1, 3, 0.45)])
+def test_an_error_on_records_that_reach_where_none_was_fitted_is_said_to_be_that(low, high, beyond):
+    rng, time = np.random.default_rng(3), np.arange(400) * 0.1
+
+    def record(name, start, stop, scale=1.0):
+        u = np.linspace(start, stop, 400)
+        # An exponential curve, which the parabola of the model follows where it was fitted, and nowhere else.
+        return Experiment(name, time, {"u": u}, {"y": scale * np.exp(2 * u) + rng.normal(0, 0.2, 400)})
+
+    judging = record("other", low, high, scale=1.0 if beyond else 0.3)
+    answer = fit(LINE, record("r", -1, 1), validation=judging, noise={"y": 0.2}, options=FitOptions(at_rest=True))
+    assert EstimationCode.VALIDATION_ERROR_LARGER in codes(answer.findings)
+    if not beyond:  # here the plant has changed
+        assert EstimationCode.VALIDATION_BEYOND_RANGE not in codes(answer.findings)
+        return
+    found = find(answer.findings, EstimationCode.VALIDATION_BEYOND_RANGE)
+    # Of u beyond 1.2, of y beyond exp(2) and a tenth: u = 1.05.
+    assert found.values["share"] == pytest.approx(beyond, abs=0.06)
+    assert found.values["most"] > found.values["high"]
+
+
 def test_a_fit_is_saved_and_loaded_without_loss(tmp_path):
     truth = micro_actuator.fix("M", "Ra") + effect("constant_load")
     data = linear_record(truth, actuator_input(1, 400), 2.5e-4, noise={"x": 2e-7, "i": 5e-3})

@@ -633,8 +633,6 @@ register(
         " and below that an effect may hide",
         DiscoveryCode.EXTEND_ESTIMATION_RECORDS: "use longer estimation records, or records with the range of the validation records:"
         " these hardly show the missing effect",
-        DiscoveryCode.COVER_VALIDATION_RANGE: "use estimation records that cover the whole range: the validation records reach from"
-        " {least:.3g} to {most@unit:3} in {subject}, the estimation records only from {low:.3g} to {high@unit:3}",
         DiscoveryCode.SUSPECT_MAINS: "check grounding, shields and the supply of drive and sensor: the tone is at the mains frequency of"
         " {mains:.0f} Hz or a multiple of it",
         DiscoveryCode.SUSPECT_MACHINE: "look for a rotating or switching machine at {frequency:.4g} Hz near the rig; a record with zero"

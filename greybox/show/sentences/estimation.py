@@ -496,6 +496,9 @@ register(
         ),
         EstimationCode.START_IN_FIRST_ROW: "record {subject} begins at {time:g} s, and the start of {states:list} is taken to hold there;"
         " where it holds at 0 s, begin the record with a row at 0 s without a reading",
+        EstimationCode.VALIDATION_BEYOND_RANGE: "use estimation records that cover the whole range: the validation records reach from"
+        " {least:.3g} to {most@unit:3} in {subject}, the estimation records only from {low:.3g} to {high@unit:3} ({share:percent 2} of the"
+        " validation rows lie beyond)",
         EstimationCode.VALIDATION_ERROR_LARGER: "the simulation error in {subject} is {ratio:.1f} times that on the estimation records: a"
         " free run accumulates small errors of force and offset, above all if the plant integrates, and parameters change from day to day;"
         " validate on shorter records as well",

@@ -274,12 +274,6 @@ FINDINGS = [
         "use longer estimation records, or records with the range of the validation records: these hardly show the missing effect",
     ),
     (
-        Code.COVER_VALIDATION_RANGE,
-        *("x", {"low": -1e-4, "high": 1e-4, "least": -3e-4, "most": 3e-4, "unit": "m"}),
-        "use estimation records that cover the whole range: the validation records reach from -0.0003 to 0.0003 m in"
-        " x, the estimation records only from -0.0001 to 0.0001 m",
-    ),
-    (
         Code.SUSPECT_MAINS,
         *("", {"frequency": 100.02, "mains": 50.0}),
         "check grounding, shields and the supply of drive and sensor: the tone is at the mains frequency of 50 Hz or a multiple"

@@ -401,6 +401,13 @@ GOLDEN = [
         " deviations): increase the number of substeps",
     ),
     (
+        "validation_beyond_range",
+        "x",
+        {"low": -1e-4, "high": 1e-4, "least": -3e-4, "most": 3e-4, "unit": "m", "share": 0.4},
+        "use estimation records that cover the whole range: the validation records reach from -0.0003 to 0.0003 m in x, the"
+        " estimation records only from -0.0001 to 0.0001 m (40 % of the validation rows lie beyond)",
+    ),
+    (
         "validation_error_larger",
         "x",
         {"ratio": 2.5},
