@@ -36,6 +36,8 @@ def list_candidates(
     effects: Sequence[Effect] | None = None,
     without: Collection[str] = (),
     beside: Sequence[Effect] = (),
+    *,
+    is_uniform: bool = True,
 ) -> CandidateList:
     """The effects that ``model`` may lack, made ready for a record.
 
@@ -51,6 +53,8 @@ def list_candidates(
         Names of effects to leave out, at all their sites.
     beside
         Effects of one's own that are tried as well; one of the same name comes in the place of the catalogue's.
+    is_uniform
+        Whether every record is sampled uniformly: what says how an input moves within its band needs that.
 
     Raises
     ------
@@ -68,6 +72,8 @@ def list_candidates(
         if lacking := parts.missing(entry):
             values = {"part": lacking, "reason": parts.lacks[lacking]}
             not_tried.setdefault(entry.name, Finding(DiscoveryCode.PART_MISSING, subject=entry.name, values=values))
+        if entry.hold == "band-limited" and not is_uniform:
+            not_tried.setdefault(entry.name, Finding(DiscoveryCode.NEEDS_UNIFORM_SAMPLING, subject=entry.name))
     candidates: list[Effect] = []
     for entry in entries:
         if entry.name in not_tried:

@@ -80,6 +80,7 @@ class DiscoveryCode(StrEnum):
     TAKEN_BY_CONSTANTS = "taken_by_constants"
     EFFECT_LEFT_OUT = "effect_left_out"
     PART_MISSING = "part_missing"
+    NEEDS_UNIFORM_SAMPLING = "needs_uniform_sampling"
     NOT_REACHED = "not_reached"
     CANDIDATE_FAILED = "candidate_failed"
     CANDIDATE_NOT_SIMULATED = "candidate_not_simulated"

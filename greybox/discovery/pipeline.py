@@ -261,10 +261,12 @@ def discover(
                 replace(s, records=_cut(s.records, stretch)) for s in (validation_set, test_set)
             )
         scales = _estimate_scales(problem)
+        is_uniform = all(r.sampling_time is not None for r in (*problem.experiments, *validation_set.records))
+        list_all = partial(list_candidates, model, scales, problem.failures, is_uniform=is_uniform)
         if laws and tried is not None and not tried:  # nothing of the catalogue
-            listed = list_candidates(model, scales, problem.failures, beside) if beside else CandidateList(())
+            listed = list_all(beside) if beside else CandidateList(())
         else:
-            listed = list_candidates(model, scales, problem.failures, tried, without, beside)
+            listed = list_all(tried, without, beside)
         findings = with_code(collect_record_findings(learnt), RecordCode.ROWS_OF_PAST)
         answer = _search(problem, listed.effects, scales, validation_set, policy, on_message, further)
         if not refits.is_late and _is_to_learn(answer):

@@ -43,6 +43,14 @@ def test_each_effect_that_is_not_tried_has_its_reason(scales):
     assert {e.name for e in gb.effects.CATALOGUE} <= bases | set(codes)
 
 
+@pytest.mark.parametrize("is_uniform", [True, False])
+def test_what_needs_uniform_sampling_is_not_tried_on_records_without_it(scales, is_uniform):
+    listed = list_candidates(replace(silverbox, candidates=()), scales, FailureLog(), is_uniform=is_uniform)
+    uneven = {name for name, finding in listed.not_tried.items() if finding.code == Code.NEEDS_UNIFORM_SAMPLING}
+    assert uneven == (set() if is_uniform else {"band_limited_input"})
+    assert ("band_limited_input" in {e.name for e in listed.effects}) is is_uniform
+
+
 def test_a_model_may_name_its_candidates(scales):
     few = replace(silverbox, candidates=("cubic_stiffness",))
     listed = list_candidates(few, scales, FailureLog())

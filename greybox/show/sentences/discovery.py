@@ -615,6 +615,7 @@ register(
         DiscoveryCode.PART_MISSING: lambda f: (
             f"it needs {part_text(f.values['part'])}, which the rig lacks{_how_known(f.values['reason'])}"
         ),
+        DiscoveryCode.NEEDS_UNIFORM_SAMPLING: "it needs uniform sampling, and these records are sampled unevenly: resample them to try it",
         DiscoveryCode.NOT_REACHED: "the time was over before it was tried",
         DiscoveryCode.CANDIDATE_FAILED: "it could not be fitted: {reason}",
         DiscoveryCode.CANDIDATE_NOT_SIMULATED: "the model with it cannot be simulated from any starting point",

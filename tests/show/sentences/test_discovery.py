@@ -499,6 +499,11 @@ FINDINGS = [
         "the model has no place for it: effect 'backlash' acts at 'force', which model 'm' does not have",
     ),
     (Code.EFFECT_PRESENT, *("backlash", {}), "the model contains it already"),
+    (
+        Code.NEEDS_UNIFORM_SAMPLING,
+        *("band_limited_input", {}),
+        "it needs uniform sampling, and these records are sampled unevenly: resample them to try it",
+    ),
     (Code.NOT_A_CANDIDATE, *("backlash", {}), "the model lists the effects to try, and this is none of them"),
     (
         Code.TRIED_AS_OTHERS,
