@@ -251,12 +251,21 @@ def _list_files(files: Sequence[Path]) -> str:
 def _show(answer: Answer, study: Study, commands: Mapping[str, Command]) -> None:
     """Print an answer as text or JSON, write what goes with it, and end with its exit code."""
     width = terminal_width(sys.stdout)
-    if not (study.silent or study.json):
+    is_text = not (study.silent or study.json)
+    # What is typed next, and the files.
+    below: list[str] = []
+    if is_text:
         from greybox.show import text
-        from greybox.show.printers.text import wrap_command
+        from greybox.show.printers.text import MOST_LINES, wrap_command
 
+        following = answer.next if isinstance(answer.next, str) else answer.next.keeping(answer.files).spell(commands)
+        below = wrap_command(f"next: {following}", width) if following else []
+        # Page and pictures are drawn once the answer is there to read: their names take a line more.
+        drawn = bool(answer.page and not study.no_report) + bool(answer.pictures and study.figures)
+        listed = len(wrap(_list_files(answer.files), width, "  ")) if answer.files else 0
+        room = MOST_LINES - len(below) - listed - drawn - bool(below or listed or drawn)
         shown = answer.text
-        print_answer(shown if isinstance(shown, str) else text(shown, width, details=study.details))
+        print_answer(shown if isinstance(shown, str) else text(shown, width, details=study.details, lines=room))
     try:
         pictures = answer.pictures() if answer.pictures and study.figures else []
         page = answer.page() if answer.page and not study.no_report else None
@@ -264,13 +273,11 @@ def _show(answer: Answer, study: Study, commands: Mapping[str, Command]) -> None
         exit_with_error(f"interrupted while drawing; {answer.kept}", ExitCode.INTERRUPTED)
     if study.json:
         click.echo(answer.as_json(page).removesuffix("\n"))
-    elif not study.silent:
-        following = answer.next if isinstance(answer.next, str) else answer.next.keeping(answer.files).spell(commands)
-        lines = wrap_command(f"next: {following}", width) if following else []
+    elif is_text:
         if files := [*answer.files, *pictures, *([page] if page else [])]:
-            lines += wrap(_list_files(files), width, "  ")
-        if lines:
-            print_answer("\n".join(["", *lines]))
+            below += wrap(_list_files(files), width, "  ")
+        if below:
+            print_answer("\n".join(["", *below]))
     if answer.failure:
         exit_with_error(answer.failure, answer.code)
     if answer.code:

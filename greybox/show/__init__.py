@@ -12,7 +12,7 @@ from typing import Any
 from greybox.base import Check, Finding, GreyboxError
 from greybox.base.document import Document, Paragraphs
 from greybox.base.texts import LINE_WIDTH, to_lines
-from greybox.show.printers.text import print_text
+from greybox.show.printers.text import MOST_LINES, print_text
 from greybox.show.sentences import EXTENSIONS, find_writer, sentence
 
 Describer = Callable[..., Document]
@@ -56,18 +56,18 @@ def describe(value: Any, **options: Any) -> Document:
     return Document(type(value).__name__, details=[Paragraphs([written])] if isinstance(written, str) else written)
 
 
-def text(value: Any, width: int = LINE_WIDTH, *, details: bool | None = None) -> str:
-    """A result in plain text: what ``print(value)`` shows; with ``details`` all that a terminal can show.
+def text(value: Any, width: int = LINE_WIDTH, *, details: bool | None = None, lines: int = MOST_LINES) -> str:
+    """A result in plain text, in at most ``lines``: what ``print(value)`` shows; with ``details`` all that a terminal can show.
 
     A value that is one text stays in its lines: it is part of others.
     """
     if isinstance(value, (Finding, Check)):
         return sentence(value)
     if isinstance(value, Document):
-        return print_text(value, width, details=details)
+        return print_text(value, width, details=details, lines=lines)
     if _describer_of(value) is None and isinstance(written := find_writer(value)(value), str):
         return to_lines(written)
-    return print_text(describe(value), width, details=details)
+    return print_text(describe(value), width, details=details, lines=lines)
 
 
 def _describer_of(value: Any) -> Describer | None:

@@ -7,6 +7,26 @@ from typing import Any
 
 import click.testing
 
+from greybox.base.texts import LINE_WIDTH
+from greybox.show.printers.text import MOST_LINES
+
+# What gives a result: without --details it stands on a screen. Lists (models, schema, help) are printed whole.
+RESULTS = (
+    "fit",
+    "discover",
+    "compare",
+    "check",
+    "simulate",
+    "export",
+    "changed",
+    "design",
+    "campaign",
+    "fleet",
+    "robot",
+    "demo",
+)
+IN_FULL = ("--details", "--json", "--help", "--write-study")
+
 
 def unwrap(told: str) -> str:
     """Messages on stderr, each a line: what goes on with two spaces in front belongs to the line before."""
@@ -16,11 +36,22 @@ def unwrap(told: str) -> str:
 class CliRunner(click.testing.CliRunner):
     """Runs a command in this process."""
 
-    def invoke(self, *arguments: Any, **settings: Any) -> click.testing.Result:
+    def invoke(self, cli: Any, args: Any = None, *more: Any, **settings: Any) -> click.testing.Result:
         """What it printed, its exit code and what it raised."""
-        result = super().invoke(*arguments, **settings)
+        result = super().invoke(cli, args, *more, **settings)
         told = (result.stderr_bytes or b"").decode()
         for message in re.findall(r"^.+\n(?:  \S.*\n)+", told, re.MULTILINE):
             result.output_bytes = result.output_bytes.replace(message.encode(), unwrap(message).encode())
         result.stderr_bytes = unwrap(told).encode()
+        words = args.split() if isinstance(args, str) else [*(args or ())]
+        if words and words[0] in RESULTS and not {*words} & {*IN_FULL}:
+            _stands_on_a_screen(result.stdout)
         return result
+
+
+def _stands_on_a_screen(printed: str) -> None:
+    """An answer has few lines, none wider than the terminal but for a word that is; pictures that somebody asked for count apart."""
+    lines = printed.splitlines()
+    pictures = sum(".png" in line for line in lines)
+    assert len(lines) - pictures <= MOST_LINES, printed
+    assert all(len(line) <= LINE_WIDTH or len(max(line.split(), key=len)) > LINE_WIDTH - 20 for line in lines), printed

@@ -47,8 +47,8 @@ def describe_discovery(discovery: Discovery, *, command: str = "") -> doc.Docume
     )
 
 
-# Sets of effects that an answer shows, the plain model and its own among them, and that its details list; a page has all.
-SHOWN_SETS, LISTED_SETS = 6, 12
+# Sets of effects that an answer shows, the plain model and its own among them; page and details have all.
+SHOWN_SETS = 6
 # An effect of the catalogue with no place in the model is no news in the text; one that should have worked is.
 FAILED_CODES = (DiscoveryCode.CANDIDATE_FAILED, DiscoveryCode.CANDIDATE_NOT_SIMULATED)
 
@@ -98,6 +98,8 @@ def _sets_table(discovery: Discovery, most: int | None = None) -> doc.TableBlock
         cells = [quote(after), f"{taken:.0f} %" if taken > 0 else "grows"] if math.isfinite(after) else [""] * 2
         rows.append([" + ".join(r.effects), str(r.constants), *cells, str(r.occurrence)])
     head = ["effects", "constants", f"error in {output}", "taken away", "on such rigs"]
+    if most is not None:  # few and short: a set should stand on one line
+        head, rows = [head[0], *head[2:]], [[row[0], *row[2:]] for row in rows]
     note = "Errors are those on the validation records, with the constants that the estimation records gave."
     if with_code(discovery.findings, DiscoveryCode.LEARNT_FROM_VALIDATION):
         note = (
@@ -133,7 +135,7 @@ def _details(d: Discovery) -> Iterator[doc.Block]:
     if d.false_names:
         yield doc.Paragraphs([words.false_names_text(rate) for rate in d.false_names])
     if d.ranking:
-        yield _sets_table(d, LISTED_SETS)
+        yield _sets_table(d)
 
 
 def _effects_table(discovery: Discovery) -> doc.TableBlock:

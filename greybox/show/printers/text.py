@@ -9,6 +9,7 @@ import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 
 from greybox.base import Finding, to_line
 from greybox.base import document as doc
@@ -16,47 +17,73 @@ from greybox.base.texts import LINE_WIDTH, to_lines, wrap
 from greybox.show.sentences import sentence
 from greybox.show.sentences.wording import count_noun
 
-# Notes below the table, and the lines that they take: what is said of a usual result fits on a screen. All stand on the
-# page and among the details.
-MOST_NOTES, NOTE_LINES = 5, 9
-# Rows of the one table: a terminal shows as many without losing the answer above it.
-MOST_ROWS = 12
+# Lines of a result without ``--details``, what a command prints below it among them: as many as a screen shows at once. What finds no
+# room stands on the page and among the details.
+MOST_LINES = 25
+# Notes below the table, and rows that a table keeps at least.
+MOST_NOTES, LEAST_ROWS = 5, 3
 
 
-def print_text(document: doc.Document, width: int = LINE_WIDTH, *, details: bool | None = None) -> str:
-    """The answer, the table and the notes of a document; with ``details`` all else that a terminal can show.
+def print_text(
+    document: doc.Document, width: int = LINE_WIDTH, *, details: bool | None = None, lines: int = MOST_LINES
+) -> str:
+    """The answer, the table and the notes of a document in at most ``lines``; with ``details`` all that a terminal can show.
 
     Where something is left out ``--details`` is named, or what gives a page in Python, where nobody said anything of ``details``.
     """
     if not document.answer:
         return print_blocks(document.details, width)
-    tables = (block_lines(_shorten(table, details), width) for table in document.table)
-    parts = [wrap(_say(document.answer), width), *tables, _note_lines(document.notes, width, details)]
-    text = ["\n".join(lines) for lines in parts if lines]
-    return "\n\n".join([*text, *([print_blocks(document.details, width)] if details and document.details else [])])
+    answer, tables, notes = wrap(_say(document.answer), width), list(document.table), _list_notes(document.notes, width)
+    if details:
+        parts = _join([answer, *(block_lines(table, width) for table in tables), list(chain(*notes))])
+        return "\n\n".join([*parts, *([print_blocks(document.details, width)] if document.details else [])])
+    # Rows of each block that are shown, and how few they may become: the first table is there in any case, another with as many or not.
+    rows = [len(table.rows) if isinstance(table, doc.TableBlock) else 0 for table in tables]
+    least = [LEAST_ROWS if not any(rows[:k]) else 0 for k in range(len(rows))]
+    count = min(len(notes), MOST_NOTES)
+    while True:
+        shown = [_first_rows(table, n, width, details) for table, n in zip(tables, rows, strict=True)]
+        below = _first_notes(notes, count, details)
+        parts = _join([answer, *shown, below])
+        # An empty line stands between two parts.
+        if sum(part.count("\n") + 2 for part in parts) - 1 <= lines:
+            break
+        # Notes and rows that say least stand last: those of the longer part give way.
+        longer = [k for k in range(len(rows)) if rows[k] > least[k]]
+        longest = max(longer, key=lambda k: len(shown[k]), default=None)
+        if count > 1 and (longest is None or len(below) > len(shown[longest])):
+            count -= 1
+        elif longest is not None:
+            rows[longest] = rows[longest] - 1 if rows[longest] > LEAST_ROWS else 0
+        else:
+            break
+    return "\n\n".join(parts)
 
 
-def _shorten(table: doc.Block, details: bool | None) -> doc.Block:
-    """The first rows of a long table."""
-    left = len(table.rows) - MOST_ROWS if isinstance(table, doc.TableBlock) and not details else 0
-    if not isinstance(table, doc.TableBlock) or left < 2:
-        return table
-    more = [f"... {left} more{'' if details is None else ' with --details'}", *[""] * (len(table.head) - 1)]
-    return replace(table, rows=[*table.rows[:MOST_ROWS], more])
+def _join(parts: Iterable[Sequence[str]]) -> list[str]:
+    """Each part that has lines as one text."""
+    return ["\n".join(lines) for lines in parts if lines]
 
 
-def _note_lines(notes: Sequence[doc.Text], width: int, details: bool | None) -> list[str]:
-    """Notes, the worst first, as many as there is room for; how many are left."""
-    lines: list[str] = []
-    # Different findings may be one sentence.
-    texts = list(dict.fromkeys(map(_say, notes)))
-    for k, text in enumerate(texts):
-        new = wrap(text if text.startswith("remedy: ") else f"note: {text}", width, "  ")
-        if not details and k and (k == MOST_NOTES or len(lines) + len(new) > NOTE_LINES):
-            rest = "gb.report(result, FOLDER)" if details is None else "--details, or the page"
-            return [*lines, f"({count_noun(len(texts) - k, 'more note')}: {rest})"]
-        lines += new
-    return lines
+def _first_rows(table: doc.Block, count: int, width: int, details: bool | None) -> list[str]:
+    """The first ``count`` rows of a table, and how many are left."""
+    if not isinstance(table, doc.TableBlock) or count >= len(table.rows):
+        return block_lines(table, width)
+    more = f"  ... {len(table.rows) - count} more{'' if details is None else ' with --details'}"
+    return [*block_lines(replace(table, rows=table.rows[:count]), width), more] if count else []
+
+
+def _list_notes(notes: Sequence[doc.Text], width: int) -> list[list[str]]:
+    """The lines of each note; different findings may be one sentence."""
+    texts = dict.fromkeys(map(_say, notes))
+    return [wrap(text if text.startswith("remedy: ") else f"note: {text}", width, "  ") for text in texts]
+
+
+def _first_notes(notes: Sequence[Sequence[str]], count: int, details: bool | None) -> list[str]:
+    """The first ``count`` notes, which are the worst; how many are left."""
+    left = len(notes) - count
+    where = "gb.report(result, FOLDER)" if details is None else "--details, or the page"
+    return [*chain(*notes[:count]), *([f"({count_noun(left, 'more note')}: {where})"] if left else [])]
 
 
 def print_blocks(blocks: Iterable[doc.Block], width: int = LINE_WIDTH) -> str:
@@ -130,22 +157,24 @@ def table_lines(head: Sequence[str], rows: Sequence[Sequence[str]], width: int =
     table = [[to_line(cell) for cell in row] for row in [head, *rows]]
     # A column that nothing stands in is left out.
     filled = [any(column) for column in zip(*table, strict=True)]
-    table = [[cell for cell, kept in zip(row, filled, strict=True) if kept] for row in table]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    room = width - GAP
-    needed = [
-        max((len(word) for cell in column for word in cell.split()), default=0) for column in zip(*table, strict=True)
-    ]
-    least = [min(w, max(n, LEAST_COLUMN)) for w, n in zip(widths, needed, strict=True)]
-    # The widest column of words gives way first.
-    while (excess := sum(widths) + GAP * (len(widths) - 1) - room) > 0:
-        wide = max(range(len(widths)), key=lambda k: (widths[k] > least[k], widths[k]))
-        if widths[wide] <= least[wide]:
-            break
-        widths[wide] = max(least[wide], widths[wide] - excess)
+    columns = [column for column, kept in zip(zip(*table, strict=True), filled, strict=True) if kept]
+    table = [list(row) for row in zip(*columns, strict=True)]
+    widths = [max(map(len, column)) for column in columns]
+    room = width - GAP - GAP * (len(widths) - 1)
+    needed = [max((len(word) for cell in column for word in cell.split()), default=0) for column in columns]
+    # Heads give way first, then the cells; of either the widest column of words.
+    for least in (
+        [max(n, *map(len, column[1:]), 0) for n, column in zip(needed, columns, strict=True)],
+        [min(w, max(n, LEAST_COLUMN)) for w, n in zip(widths, needed, strict=True)],
+    ):
+        while (excess := sum(widths) - room) > 0:
+            wide = max(range(len(widths)), key=lambda k: (widths[k] > least[k], widths[k]))
+            if widths[wide] <= least[wide]:
+                break
+            widths[wide] = max(least[wide], widths[wide] - excess)
     lines: list[str] = []
-    for columns in _groups(widths, room):
-        lines += [line for row in table for line in _row_lines([row[k] for k in columns], [widths[k] for k in columns])]
+    for group in _groups(widths, width - GAP):
+        lines += [line for row in table for line in _row_lines([row[k] for k in group], [widths[k] for k in group])]
     return lines
 
 

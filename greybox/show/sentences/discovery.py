@@ -356,12 +356,8 @@ def _error_reduced(finding: Finding) -> str:
     )
 
 
-_REST = {
-    "fitted": "the fitted records show more than noise",
-    "judging": "the validation records show more than noise",
-    "test": "the test records show more than noise",
-    "correlated": "what is left goes on from reading to reading, which the noise does not",
-}
+# Records that show more than noise.
+_REST = {"fitted": "the fitted", "judging": "the validation", "test": "the test"}
 
 
 @writes(DiscoveryCode.EFFECTS_ESTABLISHED)
@@ -374,8 +370,12 @@ def _effects_established(finding: Finding) -> str:
         others = [effect_title(name) for name, given in v["others"].items() if given == grade]
         if others:
             text += f"; {wording.join_names(others)} {'are' if len(others) > 1 else 'is'} {words}"
-    places = [_REST[place] for place in v.get("left", ())]
-    more = f"More is missing: {wording.join_names(places)}" if places else "Whether more is missing is not certain"
+    left = v.get("left", ())
+    records = [_REST[place] for place in left if place in _REST]
+    reasons = [f"{wording.join_names(records)} records show more than noise"] if records else []
+    if "correlated" in left:
+        reasons.append("what is left goes on from reading to reading, which the noise does not")
+    more = f"More is missing: {'; '.join(reasons)}" if reasons else "Whether more is missing is not certain"
     return f"{text}. {more}."
 
 

@@ -134,9 +134,9 @@ def test_lines_are_broken_between_words_and_notes_end_where_a_screen_does() -> N
     document = Document("rig", "One sentence. " * 9, notes=notes, details=[Paragraphs(["x" * 90])])
     lines = print_text(document, 60, details=False).splitlines()
     assert max(map(len, lines)) <= 60 and all(line.strip() in " ".join([document.answer, *notes]) for line in lines[:2])
-    assert lines[-1] == "(5 more notes: --details, or the page)" and len(lines) < 25
+    assert lines[-1] == "(4 more notes: --details, or the page)" and len(lines) < 25
     assert "x" * 90 in print_text(document, 60, details=True).splitlines()  # a word stays whole
-    assert print_text(document, 60).splitlines()[-1] == "(5 more notes: gb.report(result, FOLDER))"  # in Python
+    assert print_text(document, 60).splitlines()[-1] == "(4 more notes: gb.report(result, FOLDER))"  # in Python
 
 
 def test_a_table_that_is_too_wide_wraps_its_words_and_then_its_columns() -> None:

@@ -376,8 +376,8 @@ FINDINGS = [
             },
         ),
         "Cubic stiffness is established; input offset is probable; backlash is only a stand-in for something else. More is missing: the"
-        " validation records show more than noise, the test records show more than noise and what is left goes on from reading to"
-        " reading, which the noise does not.",
+        " validation and the test records show more than noise; what is left goes on from reading to reading, which the noise does"
+        " not.",
     ),
     (
         Code.EFFECTS_ESTABLISHED,
