@@ -108,9 +108,13 @@ def show_session(session: Session, places: Sequence[EffectPlace] = ()) -> dict[s
     }
 
 
+# Letters of a line that is not wrapped.
+UNWRAPPED = 100_000
+
+
 def print_answer(result: Any) -> str:
-    """The answer, the table and all notes: a browser has room for them, and nothing to type for the rest."""
-    return print_text(replace(describe(result), details=()), details=True)
+    """The answer, the table and all notes, each a line that the browser wraps: it has room for them, and nothing to type for the rest."""
+    return print_text(replace(describe(result), details=()), UNWRAPPED, details=True)
 
 
 def show_choice(columns: Sequence[str], choices: Sequence[ColumnChoice]) -> dict[str, Any]:

@@ -83,7 +83,7 @@ def _tables(fleet: FleetResult) -> Iterator[doc.TableBlock]:
         note = "From record to record: the standard deviation beyond what the records leave open. A share is one of the value."
         yield doc.TableBlock("The constants of the records that the model follows", head, rows, note)
     rows = [
-        [name, wording.format_number(median, 3), f"{wording.format_number(low, 3)} to {wording.format_number(high, 3)}"]
+        [name, wording.ratio_digits(median), f"{wording.ratio_digits(low)} to {wording.ratio_digits(high)}"]
         for name, (low, median, high) in fleet.noise_ratios.items()
     ]
     if rows:
@@ -157,7 +157,7 @@ def _table_of_records(fleet: FleetResult) -> doc.TableBlock:
         [
             r.name,
             *(_cell(r, name) for name in names),
-            wording.format_number(_worst_ratio(r), 3),
+            wording.ratio_digits(_worst_ratio(r)),
             str(sum(f.severity is not Severity.NOTE for f in r.findings) or ""),
         ]
         for r in done[:LISTED_RECORDS]

@@ -267,12 +267,18 @@ def misfits_over_best(starts: Sequence[StartResult]) -> list[float]:
     return [s.noise_ratio / least if least else s.noise_ratio for s in starts]
 
 
+# Starts with a number below them.
+MOST_NUMBERED_STARTS = 12
+
+
 def plot_starts(starts: Sequence[StartResult]) -> fig.Figure:
     """The waterfall: misfit at the end of each start over that of the best one, best first."""
     known = [ratio for ratio in misfits_over_best(starts) if math.isfinite(ratio)]
     y = fig.Axis("misfit / best misfit", scale=fig.Scale.LOG if known and max(known) > 10 else fig.Scale.LINEAR)
     marks = fig.Points(np.arange(1, len(known) + 1), np.array(known), fig.Role.RESIDUAL, joined=True)
-    panel = fig.Panel("starts", (marks,), fig.Axis("start, best first"), y)
+    # Starts are counted: no number between two of them.
+    x = fig.Axis("start, best first", spacing=float(math.ceil(len(known) / MOST_NUMBERED_STARTS) or 1))
+    panel = fig.Panel("starts", (marks,), x, y)
     text = f"{len(known)} of {len(starts)} starts ended with a run; the worst misfit is {max(known, default=math.nan):.3g} times the best"
     return fig.Figure(
         "starts",

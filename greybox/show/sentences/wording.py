@@ -48,7 +48,8 @@ def choose_prefix(unit: str, largest: float) -> tuple[float, str]:
     """Factor and prefix with which a ``largest`` value in ``unit`` has one to three digits: ``(1e6, "µ")``."""
     if unit not in PREFIXED or not (largest > 0 and math.isfinite(largest)):
         return 1.0, ""
-    exponent = 3 * math.floor(math.log10(largest) / 3)
+    # 0.9997 V is written 1 V, not 1000 mV.
+    exponent = 3 * math.floor(math.log10(float(f"{largest:.3g}")) / 3)
     exponent = min(max(exponent, min(PREFIXES)), max(PREFIXES))
     return 10.0**-exponent, PREFIXES[exponent]
 
@@ -199,8 +200,12 @@ def times_text(ratio: float, what: str = "as much") -> str:
 def ratio_text(misfit: Misfit) -> str:
     """How many times its noise an error is: ``0.754``; ``at least 35.3`` where the noise has no more than a ceiling."""
     bound = {"at_most": "at least ", "at_least": "at most "}.get(misfit.direction or "", "")
-    ratio = misfit.noise_ratio
-    return f"{bound}{plain_number(ratio) if ratio >= 1000 else f'{ratio:#.3g}'.rstrip('.')}"
+    return f"{bound}{ratio_digits(misfit.noise_ratio)}"
+
+
+def ratio_digits(ratio: float) -> str:
+    """``0.754``, ``1.00``, ``35.3``, ``1320``: a ratio in three digits."""
+    return plain_number(ratio) if ratio >= 1000 else f"{ratio:#.3g}".rstrip(".")
 
 
 def noise_text(misfit: Misfit, beside: float = 0.0) -> str:

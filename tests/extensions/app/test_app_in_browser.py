@@ -217,6 +217,8 @@ def test_friction_is_added_with_a_click_and_fitted(page) -> None:
     page.click("#fit")
     page.wait_for_selector("#fit-answer:not([hidden])")
     assert page.evaluate("window.shown")
+    # Sentences wrap, a table keeps its columns.
+    assert "records" in page.text_content("#fit-answer .answer p") and "Fc" in page.text_content("#fit-answer pre")
     assert "iteration" in page.text_content("#stage")  # the last news stays
     until(page, "document.getElementById('progress').hidden")
     assert value(page, "Fc") == pytest.approx(0.5, rel=0.02) and value(page, "B") == pytest.approx(1.5, rel=0.02)

@@ -14,6 +14,7 @@ from greybox.base.document import CodeBlock, Details, FigureBlock, Paragraphs, S
 from greybox.base.figure import Axis, Curve, Figure, Panel, Role
 from greybox.comparison.compare import compare
 from greybox.estimation.check import check
+from greybox.estimation.result_parts import StartResult
 from greybox.show import describe_page
 from greybox.show.printers.html import write_page
 from models.micro_actuator import micro_actuator
@@ -100,6 +101,16 @@ def test_zooming_the_residual_zooms_the_run_and_renews_the_spectrum(page):
 def test_the_page_is_printed_on_few_sheets(page):
     sheets = len(re.findall(rb"/Type\s*/Page\b(?!s)", page.pdf(format="A4")))
     assert 2 <= sheets <= 4
+
+
+def test_a_fit_with_starts_and_a_validation_record_is_printed_on_four_sheets(tab, good_fit, tmp_path):
+    values = {name: good_fit.parameters[name].value for name in good_fit.uncertainty.free}
+    judged = gb.estimation.validate(good_fit.model, good_fit.traces[0].experiment, noise=dict(good_fit.noise.std))
+    fit = replace(good_fit, starts=[StartResult(values, values, 1.0, "converged")] * 4, validation=judged)
+    with opened(tab, write_page(describe_page(fit, command="greybox fit --at-rest"), tmp_path / "fit.html")):
+        sheets = len(re.findall(rb"/Type\s*/Page\b(?!s)", tab.pdf(format="A4")))
+        assert tab.evaluate("[...document.querySelectorAll('.code .whole')].map(e => e.textContent)") == ["--at-rest"]
+    assert sheets <= 4
 
 
 def test_paper_shows_every_output_with_its_name_and_the_screen_is_as_before(page):

@@ -70,7 +70,7 @@ def test_a_run_that_leaves_all_bounds_hides_no_other(comparison: Comparison) -> 
     run = plot_model_runs(comparison, "a", "runs")["x"]
     by_label = {s.label: s for s in run.series if isinstance(s, Curve)}
     assert np.isnan(by_label["wrong"].y).all()
-    np.testing.assert_allclose(by_label["rig"].y, 1e3 * (MEASURED - 0.1))  # mm
+    np.testing.assert_allclose(by_label["rig"].y, MEASURED - 0.1)  # m: the sine reaches 0.9999996
     residual = plot_model_residuals(comparison, "a", "errors")["x"]
     assert residual.y.limits == pytest.approx((-800.0, 800.0))  # four times the largest typical error, in mm
 
@@ -173,5 +173,7 @@ def test_a_figure_of_the_missing_signal_tells_of_no_variable_that_explains_nothi
 def test_starts_are_drawn_over_the_best_one() -> None:
     starts = [StartResult({}, {}, ratio, "converged") for ratio in (52.4, 52.4, 131.0)]
     assert misfits_over_best(starts) == pytest.approx([1.0, 1.0, 2.5])
-    (marks,) = plot_starts([*starts, StartResult({}, {}, np.inf, "failed")]).panels[0].series
-    assert list(marks.y) == pytest.approx([1.0, 1.0, 2.5])
+    (panel,) = plot_starts([*starts, StartResult({}, {}, np.inf, "failed")]).panels
+    assert list(panel.series[0].y) == pytest.approx([1.0, 1.0, 2.5])
+    # No tick stands between two starts, and there is room for the numbers of many.
+    assert panel.x.spacing == 1.0 and plot_starts(starts * 10).panels[0].x.spacing == 3.0

@@ -13,6 +13,9 @@
   const colour = (name) => getComputedStyle(root).getPropertyValue(name).trim();
   // Everything that is shown of a model or a record is put in as text, never as markup.
   const make = (tag, text = "", more = {}) => Object.assign(document.createElement(tag), { textContent: text }, more);
+  // Sentences wrap at the width of the screen; a table, which is indented, keeps its columns.
+  const answer = (name, text) => by(name).querySelector(".answer").replaceChildren(...text.split("\n\n").map((part) =>
+    part.startsWith("  ") ? make("pre", part, { tabIndex: 0 }) : make("p", part)));
 
   let state = null;
   const shown = { record: 0, output: "", input: "", figures: {} };
@@ -259,12 +262,12 @@
     for (const name of ["fit", "discover"]) by(name).disabled = Boolean(state.job);
     by("stop").hidden = by("progress").hidden = !state.job;
     by("fit-answer").hidden = !state.fit;
-    if (state.fit) by("fit-answer").querySelector("pre").textContent = state.fit.text;
+    if (state.fit) answer("fit-answer", state.fit.text);
     by("stale").hidden = !state.fit || state.fit.current;
     by("discovery-answer").hidden = !state.discovery;
     if (state.discovery) {
       by("outcome").textContent = state.discovery.verdict;
-      by("discovery-answer").querySelector("pre").textContent = state.discovery.text;
+      answer("discovery-answer", state.discovery.text);
       const name = state.discovery.asked;
       by("asked").hidden = !name;
       by("asked").replaceChildren(...(name ? [["has", "Yes"], ["lacks", "No"]] : []).map(([known, text]) =>

@@ -72,7 +72,7 @@
   };
 
   // Pixels that a sheet of paper is wide while printing, and those of a figure that shares it with another one; its height over that on a screen.
-  const PAPER = 1070, HALF = 520, PAPER_HEIGHT = 0.7;
+  const PAPER = 1070, HALF = 520, PAPER_HEIGHT = 0.6;
   const caption = (element) => element?.querySelector("figcaption").textContent;
   let paper = false;
   const curves = (figure, chosen = figure.shown) => {
