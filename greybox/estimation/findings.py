@@ -410,8 +410,10 @@ def _find_inputs_before(optimum: Optimum, estimates: Mapping[str, Estimate]) -> 
             others = [v for name, v in trace.inputs.items() if name != model.inputs[delay.column].name]
             moved = np.any([np.cumsum(v != v[0]) > 1 for v in others] or [np.zeros(len(trace.time), bool)], axis=0)
             waits = (trace.time - trace.time[0] <= seconds) & ~moved
-            moves = (np.ptp(trace.simulated[o.name][waits]) / noise.std[j] for j, o in enumerate(model.outputs))
-            if not len(trace.before_ages) and np.nanmax([*moves]) > MOVES_BEFORE:
+            level = {o.name: std for o, std in zip(model.outputs, noise.std, strict=True)}
+            # An output that nothing measures has no noise, and no run that anything is held against.
+            moves = [np.ptp(run[waits]) / level[name] for name, run in trace.simulated.items()]
+            if not len(trace.before_ages) and np.nanmax(moves) > MOVES_BEFORE:
                 one = model.inputs[delay.column]
                 figures = {"seconds": seconds, "first": float(trace.inputs[one.name][0]), "unit": one.unit}
                 figures |= {"input": one.name, "until": float(trace.time[0]) + seconds}

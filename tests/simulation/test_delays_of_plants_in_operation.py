@@ -123,6 +123,19 @@ def test_a_run_tells_what_it_took_for_the_input_before(at_rest):
     assert abs(delay.value - DELAY) < 4 * delay.std < 0.004 and found.misfit["x"].noise_ratio < 1.15
 
 
+def test_a_sensor_that_no_record_holds_asks_nothing_of_the_past():
+    model = lag()
+    silent = Output("rate", "K/s", lambda x, u, p: (u.d - x.x) / p.tau)
+    two = Model("lag", model.states, model.inputs, [*model.outputs, silent], lag().parameters[:2], model.balances)
+    u, d = drive(0.0)
+    y = exact(u, d, 0.0, 0.0) + 0.01 * np.random.default_rng(4).normal(size=len(u))
+    record = gb.Experiment("run", STEP * np.arange(len(u)), {"u": u, "d": d}, {"x": y})
+    for delayed in (model, (two + gb.effect("transport_delay")).bound(delay=(0.0, 0.3)).start(delay=DELAY)):
+        found = gb.fit(delayed, record, noise={"x": 0.01}, options=gb.FitOptions(at_rest=True))
+        assert found.parameters["delay"].value == pytest.approx(DELAY, abs=4 * found.parameters["delay"].std)
+        assert not warnings_of_the_past(found)
+
+
 def test_a_window_of_a_file_of_inputs_knows_the_rows_before_it(tmp_path):
     u, d = drive(1.0)
     u[:20] = 4.0
