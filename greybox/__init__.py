@@ -1,7 +1,7 @@
 """greybox: from measured data of an actuator to physical parameters with honest intervals.
 
 The verbs of the first week stand here: `read_csv`, `simulate`, `fit`, `validate`, `residual_tests`, `compare`, `discover`,
-`detect_changes`, `linearise`, `report`, `design`. A model is a list of named balances; ``model + effect`` is a new model.
+`detect_changes`, `linearise`, `report`, `plot`, `design`. A model is a list of named balances; ``model + effect`` is a new model.
 
 Everything else is in a namespace: ``gb.signals`` (test signals), ``gb.effects`` (the catalogue), ``gb.blackbox``, ``gb.discovery``,
 ``gb.changes``, ``gb.identifiability``, ``gb.uncertainty`` (profile likelihood, bootstrap), ``gb.residuals``,
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from greybox.model.effects.catalogue import effect
     from greybox.model.model import Model
     from greybox.model.signals import Input, Output, Parameter, State
-    from greybox.show import report
+    from greybox.show import plot, report
     from greybox.simulation.simulate import simulate
 
     from greybox import comparison, data, discovery, estimation, simulation  # isort: skip
@@ -80,7 +80,7 @@ _NAMES = {
     "data.signals": ("SignalLimit",),
     "model": ("Balance", "Characteristic", "DryFriction", "Effect", "Model"),
     "model.signals": ("Input", "Output", "Parameter", "State"),
-    "show": ("report",),
+    "show": ("plot", "report"),
     "simulation.simulate": ("simulate",),
 }
 _HOME = {name: f"greybox.{module}" for module, names in _NAMES.items() for name in names}
@@ -145,6 +145,7 @@ __all__ = [
     "linearise",
     "load_fit",
     "multistart",
+    "plot",
     "predict",
     "read_csv",
     "read_experiments",

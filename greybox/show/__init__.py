@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from greybox.base import Check, Finding, GreyboxError
-from greybox.base.document import Document, Paragraphs
+from greybox.base import Check, Finding, GreyboxError, nearest
+from greybox.base.document import Block, Details, Document, FigureBlock, Paragraphs
 from greybox.base.texts import LINE_WIDTH, to_lines
 from greybox.show.printers.text import MOST_LINES, print_text
 from greybox.show.sentences import EXTENSIONS, find_writer, sentence
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from greybox.base.figure import Figure
 
 Describer = Callable[..., Document]
 
@@ -138,3 +143,59 @@ def describe_page(value: Any, **options: Any) -> Document:
             f"report: a {type(value).__name__} has no page; give one of {', '.join(k for k in DOCUMENTS if not k.endswith('Answer'))}"
         )
     return document
+
+
+def plot(value: Any, figure: str = "", panel: str = "", *, ax: Axes | None = None) -> Axes:
+    """Draw one figure of the page of a result with matplotlib.
+
+    Parameters
+    ----------
+    value
+        A result that `report` writes a page of.
+    figure
+        Which of its figures, by its address on the page, as in ``report.html#residual-0``; the one at the head of the page where left out.
+    panel
+        Which of its panels: the button above it on the page; the first where left out.
+    ax
+        The axes to draw into; new ones where left out.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        What was drawn into.
+
+    Raises
+    ------
+    GreyboxError
+        For a value without a page or without figures; for a name that none of them has, with the names that there are.
+
+    Examples
+    --------
+    >>> import greybox as gb
+    >>> gb.plot(fit, "residual-0", ax=ax)  # doctest: +SKIP
+    """
+    from greybox.show.figures.matplotlib_backend import draw_in_axes
+
+    page = describe_page(value)
+    figures = list_figures([*page.evidence, *(block for section in page.sections for block in section.blocks)])
+    name = figure or next(iter(figures), "")
+    if name not in figures:
+        which = nearest(name, list(figures)) if figures else "there is none"
+        raise GreyboxError(f"plot: the page of this {type(value).__name__} has no figure {name!r}; {which}")
+    panels = {p.name: p for p in figures[name].panels}
+    if panel and panel not in panels:
+        raise GreyboxError(f"plot: the figure {name} has no panel {panel!r}; {nearest(panel, list(panels))}")
+    return draw_in_axes(panels[panel] if panel else figures[name].panels[0], ax)
+
+
+def list_figures(blocks: Iterable[Block]) -> dict[str, Figure]:
+    """The figures among blocks, by their names, those within folds included."""
+
+    def walk(inner: Iterable[Block]) -> Iterator[Figure]:
+        for block in inner:
+            if isinstance(block, FigureBlock):
+                yield block.figure
+            elif isinstance(block, Details):
+                yield from walk(block.blocks)
+
+    return {figure.name: figure for figure in walk(blocks)}

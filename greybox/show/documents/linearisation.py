@@ -108,8 +108,8 @@ def _behaviour(linear: Linearisation, family: ModelFamily | None) -> Iterator[do
     poles = plot_poles(linear, family)
     if poles is not None:
         yield doc.FigureBlock(poles)
-    lines = [line.strip() for channel in describe_behaviour(linear).channels for line in channel_lines(channel)]
-    yield doc.CodeBlock("\n".join(lines), "Channels")
+    channels = [map(str.strip, channel_lines(channel)) for channel in describe_behaviour(linear).channels]
+    yield from (doc.Subheading("Channels"), doc.BulletList(list(map("; ".join, channels))))
     if family is not None:
         models = f"{count_noun(len(family.members), 'model')} drawn from the covariance of the parameters (seed {family.seed})"
         yield doc.Paragraphs([f"{models} show the uncertainty."])

@@ -212,7 +212,7 @@ def plot_candidates(discovery: Discovery) -> Figure | None:
     roles = _candidate_roles(discovery)
     names, misfits = [" + ".join(c.effects) for c in shown], np.array([c.misfit for c in shown])
     texts = [typeset_exponents(f"+{c.behind:.3g}") if c.behind else "best" for c in shown]
-    x = size_axis("misfit / noise on the estimation records", "", misfits)
+    x = size_axis("misfit / noise", "", misfits)
     marks = draw_sizes(names, misfits, roles, x, texts=texts)
     series = (Reference(1.0, upright=True, dash=Dash.DOTTED), *marks)
     panel = Panel("candidates", series, x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY)
@@ -221,7 +221,7 @@ def plot_candidates(discovery: Discovery) -> Figure | None:
     return Figure(
         "candidates",
         (panel,),
-        f"Candidates, best first by Schwarz's criterion. {describe_candidates(discovery)}.",
+        f"Candidates on the estimation records, best first by Schwarz's criterion. {describe_candidates(discovery)}.",
         (description,),
     )
 

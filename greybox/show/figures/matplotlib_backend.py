@@ -1,4 +1,4 @@
-"""Sheets as pictures: PNG to look at, SVG to print and to edit. The only module that imports matplotlib."""
+"""Sheets as pictures: PNG to look at, SVG to print and to edit; panels in axes of others. The only module that imports matplotlib."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure as Picture
 from matplotlib.text import Text
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter, NullLocator
 
 from greybox.base import figure as fig
 from greybox.base import write_file
@@ -68,6 +68,22 @@ def draw_sheet(sheet: Sheet) -> Picture:
     for text in picture.findobj(Text):
         text.set_text(to_lines(text.get_text()))  # fonts have no control characters
     return picture
+
+
+def draw_in_axes(panel: fig.Panel, axes: Axes | None) -> Axes:
+    """Draw a panel with its legend into ``axes``; None makes them, in a figure that a notebook shows."""
+    if axes is None:
+        from matplotlib import pyplot  # chooses a window for all that is drawn: only where somebody wants one
+
+        axes = pyplot.subplots(layout="constrained")[1]
+    inches = axes.get_window_extent().transformed(axes.figure.dpi_scale_trans.inverted())
+    with rc_context({"text.parse_math": False}):
+        _draw_panel(
+            axes, Cell(panel, 0), *(_letters(side + BESIDE_PANEL, NAME_SIZE) for side in (inches.width, inches.height))
+        )
+        if len(panel.labels) > 1:
+            axes.legend(fontsize=NUMBER_SIZE, frameon=False)
+    return axes
 
 
 def _draw_cells(sheet: Sheet) -> Picture:
@@ -142,6 +158,8 @@ def _set_up(axis: NumberedAxis, set_limits: Callable[..., object], spec: fig.Axi
         axis.set_ticks(range(len(categories)), list(map(to_lines, categories)))
     if spec.scale is fig.Scale.LOG:
         _number_decades(axis)
+    elif spec.spacing is not None:
+        axis.set_major_locator(MultipleLocator(spec.spacing))
     if spec.reversed:
         axis.set_inverted(True)
 
