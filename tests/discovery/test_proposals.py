@@ -66,7 +66,7 @@ def fit_of(rmse, ceiling=1.0, outputs=("y",)):
     return SimpleNamespace(
         misfit={name: SimpleNamespace(rmse=rmse) for name in outputs},
         noise=noise,
-        model=SimpleNamespace(outputs=[SimpleNamespace(name=name) for name in outputs]),
+        model=SimpleNamespace(inputs=[], outputs=[SimpleNamespace(name=name, unit="m") for name in outputs]),
         traces=(),
         validation=SimpleNamespace(traces=()),
     )
