@@ -185,7 +185,7 @@ DOCUMENTS = {"FleetResult": describe_fleet}
 def _fitted(finding: Finding) -> str:
     v = finding.values
     if v["fitted"] == v["records"]:
-        return f"all {wording.count_noun(v['records'], 'record')} {'was' if v['records'] == 1 else 'were'} fitted"
+        return f"all {v['records']} records were fitted" if v["records"] > 1 else "the record was fitted"
     return f"{v['fitted']} of {wording.count_noun(v['records'], 'record')} were fitted"
 
 

@@ -176,7 +176,8 @@ def leave_empty_columns_out(table: TableBlock) -> TableBlock:
 def say_answer(page: Document) -> str:
     """The first sentence; where it begins with the name of what the page is about, that stays as it is written."""
     first, text = label(page.answer).partition(" ")[0], say(page.answer)
-    return first + text[len(first) :] if first.strip(",:;") in label(page.title).split() else text
+    names = [word.strip(",:;") for word in label(page.title).split()]
+    return first + text[len(first) :] if first.strip(",:;") in names else text
 
 
 def say(texts: Text | Sequence[Text]) -> str:

@@ -18,6 +18,7 @@ from scipy.signal import lfilter
 from statsmodels.stats.meta_analysis import combine_effects
 
 import greybox as gb
+from greybox.base import Finding
 from greybox.base.errors import DataError
 from greybox.base.json_shape import from_json_data, to_json_data
 from greybox.estimation.result_parts import Estimate
@@ -295,6 +296,9 @@ def test_the_page_and_the_text_say_the_same() -> None:
 
     page = describe_fleet(fleet)
     assert page.question == "What are the constants of first_order in each of 8 records?"
+    counts = ({"fitted": 1, "records": 1}, {"fitted": 8, "records": 8}, {"fitted": 7, "records": 8})
+    texts = [str(Finding(FleetCode.RECORDS_FITTED, values=values)) for values in counts]
+    assert texts == ["the record was fitted", "all 8 records were fitted", "7 of 8 records were fitted"]
     (figure,) = (block.figure for block in page.evidence)
     assert [panel.name for panel in figure.panels] == ["gain", "lag", "misfit of y"]
     assert [panel.series[0].lengths.sum() for panel in figure.panels] == [8, 8, 8]

@@ -1,6 +1,8 @@
 """Numbers in sentences, as people read them."""
 
+from greybox.base.document import Document
 from greybox.extensions.changes.document import share_of
+from greybox.show.printers.html import say_answer
 from greybox.show.sentences.wording import choose_prefix, quantity_text, ratio_digits, spread_text, times_text
 
 
@@ -22,3 +24,9 @@ def test_a_ratio_that_is_written_as_one_is_no_number():
     assert times_text(1.0) == times_text(1.004) == times_text(0.9996) == "as much"
     assert times_text(0.994, "as large") == "0.994 times as large"
     assert times_text(118.4, "the error") == "118 times the error"
+
+
+def test_an_answer_keeps_the_name_of_what_its_page_is_about():
+    assert say_answer(Document("rig: 40 records", "rig: all 40 records were fitted")).startswith("rig: all")
+    assert say_answer(Document("Fit of rig", "rig explains its records")).startswith("rig explains")
+    assert say_answer(Document("Fit of rig", "nothing is known")).startswith("Nothing")
