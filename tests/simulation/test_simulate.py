@@ -114,6 +114,23 @@ def test_an_overflow_is_a_result_that_says_when() -> None:
     assert simulate(explosive(), {"time": time[:50], "u": np.zeros(50)}).overflow is None
 
 
+def test_an_overflow_begins_in_the_row_in_which_the_exponential_does() -> None:
+    """x' = a x from one is exp(a t), which double precision holds up to its largest number: t = ln(1.8e308) / a."""
+    growth = Model(
+        "growth",
+        states=[State("x", "m", 1.0)],
+        inputs=[Input("u", "m/s")],
+        outputs=[Output("x", "m")],
+        parameters=[Parameter("a", "1/s", 70.0)],
+        balances=lambda x, u, p: [Balance("growth", "m/s", 1, "x", own=p.a * x.x, input=u.u)],
+    )
+    time = 0.1 * np.arange(120)
+    first = time[time > np.log(np.finfo(float).max) / 70.0][0]  # 10.2 s
+    assert simulate(growth, {"time": time, "u": np.zeros(120)}).overflow == first
+    # The last row alone is enough.
+    assert simulate(growth, {"time": time[time <= first], "u": np.zeros(103)}).overflow == first
+
+
 def test_noise_is_repeatable_and_as_large_as_asked() -> None:
     run = simulate(micro_actuator, {"time": 1e-3 * np.arange(4000), "u": np.ones(4000)})
     one, same, other = (run.record({"i": 0.01}, np.random.default_rng(seed)) for seed in (1, 1, 2))
