@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.base import FileKind, Finding, Severity, StoredResult, from_json_data, parse_unit, read_json
 from greybox.base.errors import DataError, GreyboxError, ModelError, shorten
-from greybox.base.parallel.local_pool import pack, unpack
+from greybox.base.packing import pack, unpack
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.noise import BoundDirection, NoiseSource
 from greybox.data.problems import RowLabels, find_array_problems

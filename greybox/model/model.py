@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import ModelError, Printable, nearest
-from greybox.base.made_of_functions import MadeOfFunctions
+from greybox.base.packing import MadeOfFunctions
 from greybox.model import balance, build_system, validation
 from greybox.model.effect import GUESSES, Effect
 from greybox.model.parts import check_parts

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.parallel.local_pool import LocalPool, pack, quiet_children, unpack, unpack_shared
+from greybox.base.packing import pack, unpack, unpack_shared
+from greybox.base.parallel.local_pool import LocalPool, quiet_children
 from greybox.data.experiment import Experiment
 from greybox.simulation.plant import PlantLostError, PlantRunError
 

@@ -13,16 +13,9 @@ from typing import Any
 
 from greybox.base.errors import GreyboxError, WorkersLostError, is_numerical
 from greybox.base.interrupts import hold_interrupts
+from greybox.base.packing import pack, unpack, unpack_shared
 from greybox.base.parallel.cluster import DaskHealth, adopt_executor, open_cluster, watch_executor
-from greybox.base.parallel.local_pool import (
-    LocalPool,
-    count_cores,
-    describe_version,
-    open_local_pool,
-    pack,
-    unpack,
-    unpack_shared,
-)
+from greybox.base.parallel.local_pool import LocalPool, count_cores, describe_version, open_local_pool
 
 
 @dataclass(frozen=True)

@@ -4,60 +4,22 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import io
 import multiprocessing
 import os
 import platform
 import signal
 import sys
-import sysconfig
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from functools import cache, lru_cache
+from functools import lru_cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from multiprocessing.connection import Connection, wait
-from types import MappingProxyType, ModuleType
 from typing import Any
-
-import cloudpickle
-
-from greybox.base.values import ReadOnly
-
-# Values as bytes for another process of the same version.
-#
-# A model is made of functions, often lambdas, which `pickle` refuses; `cloudpickle` (small, and what Dask itself uses) sends
-# them by value, so a worker needs greybox but not the user's project. CasADi expressions are not sent: a model is stated anew
-# where it arrives. Such bytes travel between processes of one user only; nothing of the kind is read from a file.
-
-
-def pack(value: Any) -> bytes:
-    """``value`` as bytes; functions of the user's project travel by value."""
-    modules = _local_packages()
-    for module in modules:
-        cloudpickle.register_pickle_by_value(module)
-    try:
-        buffer = io.BytesIO()
-        _Pickler(buffer).dump(value)
-        return buffer.getvalue()
-    finally:
-        for module in modules:
-            cloudpickle.unregister_pickle_by_value(module)
-
-
-def unpack(data: bytes) -> Any:
-    """The value that was packed."""
-    return cloudpickle.loads(data)
-
-
-@lru_cache(maxsize=2)
-def unpack_shared(data: bytes) -> Any:
-    """What all jobs share, unpacked once in each worker."""
-    return cloudpickle.loads(data)
 
 
 @lru_cache
@@ -75,42 +37,6 @@ def _add_texts(digest: Any, folder: Traversable) -> None:
             _add_texts(digest, entry)
         elif entry.name.endswith((".py", ".c", ".h")):
             digest.update(entry.name.encode() + b"\0" + entry.read_bytes())
-
-
-class _Pickler(cloudpickle.Pickler):
-    """Read-only mappings as mappings, models as they were stated; `pickle` refuses both."""
-
-    def reducer_override(self, obj: Any) -> Any:
-        if isinstance(obj, MappingProxyType):
-            return MappingProxyType, (dict(obj),)
-        if isinstance(obj, ReadOnly):
-            return ReadOnly.__reduce__(obj)
-        # A `MadeOfFunctions`, by what it does: that module imports this one.
-        if hasattr(type(obj), "restate"):
-            return obj.restate()
-        return super().reducer_override(obj)
-
-
-def _local_packages() -> list[ModuleType]:
-    """Top packages of the user's project (models/, fits/, a script): their functions travel by value."""
-    result = []
-    for name, module in list(sys.modules.items()):
-        if "." in name or name in ("__main__", "__mp_main__", "greybox"):
-            continue
-        file = getattr(module, "__file__", None) or next(iter(getattr(module, "__path__", ())), None)
-        if file and _is_of_project(file):
-            result.append(module)
-    return result
-
-
-# What a run is called with is packed at each: where hundreds of modules lie is found once.
-@cache
-def _is_of_project(file: str) -> bool:
-    """Whether a module in ``file`` is neither installed nor Python's own."""
-    if "site-packages" in file or "dist-packages" in file:
-        return False
-    standard = tuple({os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib")})
-    return not os.path.realpath(file).startswith(standard)
 
 
 # Number of the Linux call that asks for a signal when the parent ends.

@@ -22,7 +22,8 @@ from pickle import UnpicklingError
 from typing import Any
 
 from greybox.base import GreyboxError
-from greybox.base.parallel.local_pool import pack, quiet_children, unpack
+from greybox.base.packing import pack, unpack
+from greybox.base.parallel.local_pool import quiet_children
 from greybox.estimation.options import FitOptions
 from greybox.extensions.app.session import Session
 from greybox.shell.own_effects import find_own_effects
