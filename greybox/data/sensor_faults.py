@@ -125,6 +125,18 @@ def find_reading_step(values: np.ndarray) -> float | None:
     return step if np.abs(distances / step - counts).max() <= STEP_ROUNDING else None
 
 
+def compute_rounding_std(step: float) -> float:
+    """Standard deviation of the error of a reading that is rounded to ``step``, in its unit."""
+    # The error is uniform over a step: its variance is step^2 / 12 (Widrow and Kollar, Quantization noise, 2008).
+    return float(step / np.sqrt(12))
+
+
+def find_rounding_share(records: Sequence[np.ndarray], mean_square: float) -> tuple[float, float]:
+    """The largest step of a sensor in its ``records``, and what rounding to it makes of the ``mean_square`` of a residual: its share."""
+    step = max((find_reading_step(values) or 0.0 for values in records), default=0.0)
+    return step, compute_rounding_std(step) ** 2 / mean_square if mean_square else 0.0
+
+
 @dataclass(frozen=True)
 class ChangeBand:
     """Readings of a sensor that sends only what has changed by ``band``.

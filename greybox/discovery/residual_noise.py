@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.data.noise import AutoRegression, BoundDirection, NoiseModel, NoiseSource, fit_autoregression, join_series
-from greybox.data.sensor_faults import find_reading_step
+from greybox.data.sensor_faults import find_rounding_share
 from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.surrogate_effects import CURVE, LINEAR_DYNAMICS, TONE
 from greybox.model.effect import Effect
@@ -89,9 +89,8 @@ def _is_of_steps(candidate: FittedCandidate, output: int, series: np.ndarray) ->
     problem = candidate.problem
     name = problem.model.outputs[output].name
     readings = [e.outputs[name] for e in problem.experiments if name in e.outputs]
-    step = max((find_reading_step(values) or 0.0 for values in readings), default=0.0) / problem.noise.std[output]
-    # Rounding to steps q leaves an error that is uniform over q: q^2 / 12 (Widrow and Kollar, Quantization noise, 2008).
-    return bool(step**2 / 12 >= ALL_STEPS * np.nanmean(series**2))
+    _, share = find_rounding_share(readings, float(np.nanmean(series**2)) * problem.noise.std[output] ** 2)
+    return share >= ALL_STEPS
 
 
 def _normalised_residuals(candidate: FittedCandidate) -> list[tuple[int, np.ndarray]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.base import Finding, Severity
 from greybox.data.findings import RecordCode
-from greybox.data.sensor_faults import find_reading_step
+from greybox.data.sensor_faults import find_rounding_share
 from greybox.estimation.findings import (
     REPORTING_CORRELATION,
     EstimationCode,
@@ -60,10 +60,7 @@ def find_reading_errors(traces: Sequence[Trace]) -> tuple[Finding, ...]:
         usable = left[np.isfinite(left)]
         if not len(usable):  # a run that failed
             continue
-        mean_square = float(np.mean(usable**2))
-        step = max((find_reading_step(t.measured[name]) or 0.0 for t in records), default=0.0)
-        # Rounding to steps q leaves an error that is uniform over q: q^2 / 12 (Widrow and Kollar, Quantization noise, 2008).
-        steps_share = step**2 / 12 / mean_square if mean_square else 0.0
+        step, steps_share = find_rounding_share([t.measured[name] for t in records], float(np.mean(usable**2)))
         if steps_share > STEPS_SHARE:
             values = {"step": step, "share": min(steps_share, 1.0)}
             result.append(Finding(EstimationCode.RESIDUAL_OF_STEPS, Severity.NOTE, name, values))

@@ -40,7 +40,7 @@ from greybox.data.noise.spectrum import (
 )
 from greybox.data.problems import is_constant
 from greybox.data.sampling import find_time_gaps
-from greybox.data.sensor_faults import find_change_band
+from greybox.data.sensor_faults import compute_rounding_std, find_change_band
 from greybox.model import Model
 
 
@@ -260,8 +260,8 @@ def _estimate_level(
     measured = [e for e in experiments if name in e.outputs]
     columns = [e.outputs[name] for e in measured]
     movement = _measure_movement(columns)
-    # An error of rounding is uniform over a step: its standard deviation is step / sqrt(12).
-    rounding = (repetition.estimate_resolution(columns) or repetition.estimate_written_step(columns)) / np.sqrt(12)
+    step = repetition.estimate_resolution(columns) or repetition.estimate_written_step(columns)
+    rounding = compute_rounding_std(step)
     bands = (find_change_band(e.time, e.outputs[name]) for e in measured)
     rounding = max([rounding, *(band.std for band in bands if band is not None)])
     level = (

@@ -12,6 +12,7 @@ from greybox.base.numerics import FEWEST_SIEVED, NUMBERS_AT_A_TIME, PERIOD_CLOSU
 from greybox.data.experiment import Experiment, stack_signals
 from greybox.data.noise.noise_model import fit_autoregression, join_series
 from greybox.data.sampling import find_time_gaps
+from greybox.data.sensor_faults import compute_rounding_std
 
 # Two inputs are the same where they differ by less than this share of their range.
 SAME_INPUT = 1e-06
@@ -225,7 +226,7 @@ def find_flat_pieces(experiments: Sequence[Experiment], output: str, inputs: Seq
             if piece is not None:
                 pieces.append(piece)
     columns = [e.outputs[output] for e in experiments if output in e.outputs]
-    rounding = estimate_resolution(columns) / np.sqrt(12)
+    rounding = compute_rounding_std(estimate_resolution(columns))
     pieces = _leave_out_moving(pieces, rounding)
     counts = np.array([len(piece) - 1 for piece in pieces], float)
     if counts.sum() < FLAT_MIN_SAMPLES:

@@ -16,6 +16,7 @@ from greybox.base import DataError
 from greybox.base.values import ReadOnly
 from greybox.data.experiment import Experiment
 from greybox.data.noise.repeats import estimate_written_step
+from greybox.data.sensor_faults import compute_rounding_std
 
 # Order of the filter in each direction.
 FILTER_ORDER = 4
@@ -214,9 +215,8 @@ def _find_cutoff(values: np.ndarray, rate: float) -> tuple[float, float]:
     rows = min(SPECTRUM_ROWS, len(values) // 4)
     frequency, power = welch(values, rate, "blackmanharris", rows, detrend="linear")
     floor = float(np.median(power[frequency > FLOOR_FROM * rate / 2]))
-    # A written step is noise even where the signal stays within one: a step's width over root 12.
-    step = estimate_written_step([values])
-    floor = max(floor, 2 * step**2 / 12 / rate)
+    # A written step is noise even where the signal stays within one.
+    floor = max(floor, 2 * compute_rounding_std(estimate_written_step([values])) ** 2 / rate)
     moving = np.flatnonzero(power > MOTION_OVER_NOISE * floor)
     # The first frequency from which on noise is louder; a lone line further up is a disturbance.
     quiet = np.flatnonzero(np.convolve(power > MOTION_OVER_NOISE * floor, np.ones(3), "same") == 0)
