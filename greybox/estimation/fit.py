@@ -240,10 +240,14 @@ def fit(
             begun = with_effects or SimulationOptimum(
                 model, estimate_by_simulation_error(problem, options, colour, report)
             )
-            if with_effects is None and not initial:
-                begun = _search_from_neutral_effects(begun, problem, experiments, options, colour, report)
-            if not initial:
-                begun = _search_from_rest(begun, problem, experiments, options, colour, report)
+            # Where the model as it stands began already with its effects, there is no other way to begin with them.
+            beginnings = (_search_from_rest,) if with_effects else (_search_from_neutral_effects, _search_from_rest)
+            for search_from_there in beginnings if not initial else ():
+                if begun.status is TerminationStatus.INTERRUPTED:
+                    break
+                again = search_from_there(begun, problem, experiments, options, colour, report)
+                if again is not None and _rank_end(again, problem.noise) < _rank_end(begun, problem.noise):
+                    begun = SimulationOptimum(model, again.solution.with_work_of(begun.solution))
             optimum = begun
             # Other starts are compared by the steps that the search took: at explicit ones a stiff model runs from few of them.
             if begun.solution.problem.step.adaptive:
@@ -475,24 +479,20 @@ def _search_from_neutral_effects(
     options: FitOptions,
     colour: ColourTreatment | str,
     report: FitProgressCallback | None,
-) -> SimulationOptimum:
-    """``begun``, where effects begin at values of their own; or a better end of searches from where they change nothing.
+) -> SimulationOptimum | None:
+    """The end of searches from where effects change nothing, of a model whose effects began at values of their own.
 
-    Those are made where the model without them does as well or better: a model with an effect more is never worse.
+    Those are made where the model without them does as well or better: a model with an effect more is never worse. None where they are
+    not, and where only noise is left to explain.
     """
     model, values = begun.model, list_neutral_values(begun.model)
-    is_over = begun.status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(begun))
-    if is_over or not values:
-        return begun
+    if not values or (problem.noise.is_level_known and is_at_noise(begun)):
+        return None
     absent = replace(problem, model=model.start(**values))
     fresh = measure_fresh_effects(absent, experiments, options, colour, report)
-
     if fresh is None or _rank_end(fresh.plain, problem.noise) >= _rank_end(begun, problem.noise):
-        return begun
-    again = _begin_with_effects(absent, experiments, options, colour, report, fresh)
-    if again is None or _rank_end(again, problem.noise) >= _rank_end(begun, problem.noise):
-        return begun
-    return SimulationOptimum(model, again.solution.with_work_of(begun.solution))
+        return None
+    return _begin_with_effects(absent, experiments, options, colour, report, fresh)
 
 
 # Standard deviations of the cost of noise alone, the square root of twice the number of readings, below which nothing is left to explain.
@@ -506,8 +506,8 @@ def _search_from_rest(
     options: FitOptions,
     colour: ColourTreatment | str,
     report: FitProgressCallback | None,
-) -> SimulationOptimum:
-    """``begun``, or the better end of a search from its constants with bodies at rest that it has set in motion from there.
+) -> SimulationOptimum | None:
+    """The end of a search from the constants of ``begun`` with bodies at rest that it has set in motion from there; None without one.
 
     A first velocity that dry friction stops within a few rows makes up for constants that are wrong at the time, and no slope leads back.
     """
@@ -520,16 +520,13 @@ def _search_from_rest(
     is_moving = any(trace.initial_state[name] for trace in begun.traces for name in moved)
     cost, count = begun.evaluation.cost, sum(misfit.samples for misfit in begun.misfit.values())
     is_noise = problem.noise.is_level_known and cost <= count + CHANCE_OF_COST * np.sqrt(2 * count)
-    if begun.status is TerminationStatus.INTERRUPTED or not is_moving or is_noise:
-        return begun
+    if not is_moving or is_noise:
+        return None
     free = [system.state_names[j] for j in np.flatnonzero(first.free)]
     rest = [{n: 0.0 if n in moved else trace.initial_state[n] for n in free} for trace in begun.traces]
     model = begun.model.start(**{q.name: begun.fitted_model.values[q.name] for q in begun.model.free_parameters})
     at_rest = prepare_problem(model, experiments, problem.noise, options, initial=rest)
-    again = SimulationOptimum(begun.model, estimate_by_simulation_error(at_rest, options, colour, report))
-    if _rank_end(again, problem.noise) >= _rank_end(begun, problem.noise):
-        return begun
-    return SimulationOptimum(begun.model, again.solution.with_work_of(begun.solution))
+    return SimulationOptimum(begun.model, estimate_by_simulation_error(at_rest, options, colour, report))
 
 
 def _refine_for_constants(
