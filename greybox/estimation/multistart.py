@@ -21,13 +21,14 @@ from greybox.data.experiment import Experiment
 from greybox.data.noise import GrowingNoise, NoiseModel
 from greybox.data.read import as_experiments
 from greybox.estimation.findings import LAST_DIGIT, EstimationCode
-from greybox.estimation.fit import compute_ratio, draw_starts, fit, measure_fresh_effects
+from greybox.estimation.fit import fit
 from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import SimulationOptimum
 from greybox.estimation.options import ColourTreatment, FitOptions, explain_unknown, resolve_options
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
+from greybox.estimation.starts import compute_ratio, draw_starts, measure_fresh_effects
 from greybox.estimation.transcription.problem import EstimationProblem, begin_with_known_past, prepare_problem
 from greybox.model import Model
 from greybox.model.effects.scales import list_effect_values

@@ -14,11 +14,12 @@ from greybox.base.errors import ModelError
 from greybox.base.values import Severity
 from greybox.data.experiment import Experiment
 from greybox.estimation.findings import EstimationCode
-from greybox.estimation.fit import SearchTrouble, fit, stands_where_it_began
+from greybox.estimation.fit import fit
 from greybox.estimation.multistart import draw_starts, group_by_optimum, multistart, summarise_starts
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import DEFAULT_POLICY, FitOptions
 from greybox.estimation.result_parts import StartResult
+from greybox.estimation.starts import SearchTrouble, stands_where_it_began
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import experiment, linear_record, multisine

@@ -19,7 +19,6 @@ from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Param
 from greybox.base.errors import ModelError
 from greybox.data.noise import NoiseSource
 from greybox.estimation.findings import EstimationCode
-from greybox.estimation.fit import SearchTrouble, draw_starts
 from greybox.estimation.noise_loop import compute_cost as compute_start_cost
 from greybox.estimation.noise_loop import keep_best, solve
 from greybox.estimation.optim.gauss_newton import run_gradient_sampling
@@ -30,6 +29,7 @@ from greybox.estimation.optim.minimisation import (
     TerminationStatus,
 )
 from greybox.estimation.optim.quadratic_model import QuadraticModel
+from greybox.estimation.starts import SearchTrouble, draw_starts
 from greybox.estimation.transcription.problem import Completion, TranscriptionReason, prepare_problem
 from tests.oracles.independent import multisine, solved_record
 from tests.support.oscillator import oscillator
@@ -376,7 +376,7 @@ def test_ctrl_c_among_other_starts_keeps_what_is_found(monkeypatch):
         drawn.append(1)
         return draw_starts(*arguments, **keywords)
 
-    monkeypatch.setattr(sys.modules["greybox.estimation.fit"], "draw_starts", interrupt)
+    monkeypatch.setattr(sys.modules["greybox.estimation.starts"], "draw_starts", interrupt)
     kept = fit(lost, record, options=replace(options, iterations=2))
     assert drawn
     assert {n: q.value for n, q in kept.parameters.items()} == {n: q.value for n, q in alone.parameters.items()}

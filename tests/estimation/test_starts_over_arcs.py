@@ -6,8 +6,8 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, FitOptions, Input, Model, Output, Parameter, State
-from greybox.estimation.fit import measure_fresh_effects
 from greybox.estimation.noise_loop import StartCost
+from greybox.estimation.starts import measure_fresh_effects
 from greybox.estimation.transcription.problem import prepare_problem
 
 PERIOD, NOISE, DAMPING, WEIGHT = 0.02, 1e-3, 0.5, 25.0
