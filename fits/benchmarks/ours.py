@@ -19,7 +19,8 @@ from greybox.estimation.multistart import draw_starts
 from greybox.estimation.noise_loop import solve
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem, Solution
 from greybox.model.model import Model
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record

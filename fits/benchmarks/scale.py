@@ -30,7 +30,7 @@ from fits.benchmarks.problems import actuator
 from fits.benchmarks.report import put_part
 from greybox.data.experiment import Experiment
 from greybox.estimation.noise_loop import solve
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.model.model import Model
 from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.integrators.runge_kutta import rk4

@@ -45,7 +45,8 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit as estimate
 from greybox.estimation.options import explain_unknown
 from greybox.estimation.record_trends import shared_conditions
-from greybox.estimation.transcription.problem import TranscriptionReason, begin_with_known_past
+from greybox.estimation.transcription.preparation import begin_with_known_past
+from greybox.estimation.transcription.problem import TranscriptionReason
 from greybox.model import Effect, Model
 from greybox.model.effects import Scales, all_effects, effect
 from greybox.model.effects.scales import LONGEST_DELAY

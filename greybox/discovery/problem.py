@@ -22,7 +22,8 @@ from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem, Solution
 from greybox.estimation.transcription.select import TranscriptionChoice, select_transcription
 from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.model.equations import identify

@@ -22,7 +22,7 @@ from greybox.estimation.identifiability.sensitivity import simulate_generic_reco
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.estimation.identifiability.twins import find_other_answers, find_twins, move_apart
 from greybox.estimation.options import FitOptions
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.model import Input, Model, Parameter, State
 from greybox.model.effects import Placement, all_effects, find_placements
 from greybox.simulation.kernel.interpreted import InterpretedKernel

@@ -53,14 +53,8 @@ from greybox.estimation.prediction_error import (
 from greybox.estimation.reading_errors import find_mistaken_units, find_reading_errors
 from greybox.estimation.result import Fit
 from greybox.estimation.starts import search_from_starts
-from greybox.estimation.transcription.problem import (
-    Completion,
-    EstimationProblem,
-    FitProgressCallback,
-    begin_with_known_past,
-    make_strategy,
-    prepare_problem,
-)
+from greybox.estimation.transcription.preparation import begin_with_known_past, prepare_problem
+from greybox.estimation.transcription.problem import Completion, EstimationProblem, FitProgressCallback, make_strategy
 from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
 from greybox.estimation.validate import validate

@@ -29,7 +29,8 @@ from greybox.estimation.options import ColourTreatment, FitOptions, explain_unkn
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
 from greybox.estimation.starts import compute_ratio, draw_starts, measure_fresh_effects
-from greybox.estimation.transcription.problem import EstimationProblem, begin_with_known_past, prepare_problem
+from greybox.estimation.transcription.preparation import begin_with_known_past, prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.model import Model
 from greybox.model.effects.scales import list_effect_values
 from greybox.model.equations import identify

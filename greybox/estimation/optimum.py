@@ -36,7 +36,8 @@ from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, PredictionReport, Trace
 from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import EstimationProblem, Runs, Solution, prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem, Runs, Solution
 from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.model import Model
 from greybox.simulation.kernel.record import Record

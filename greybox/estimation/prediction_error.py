@@ -17,7 +17,8 @@ from greybox.estimation.noise_loop import solve
 from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result_parts import Estimate
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import FitProgressCallback, Solution, prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
+from greybox.estimation.transcription.problem import FitProgressCallback, Solution
 from greybox.model import Model
 from greybox.simulation.filtering.kalman_filter import KalmanFilter
 

@@ -22,7 +22,8 @@ from greybox.estimation.options import FitOptions, resolve_options
 from greybox.estimation.prediction_error import estimate_by_prediction_error
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace
-from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.validate import FIRST_ROWS, determine_initial_states, refine_integration
 from greybox.model import Model

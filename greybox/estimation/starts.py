@@ -32,12 +32,8 @@ from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import SimulationOptimum
 from greybox.estimation.options import ColourTreatment, FitOptions, Transcription
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import (
-    EstimationProblem,
-    FitProgressCallback,
-    TranscriptionReason,
-    prepare_problem,
-)
+from greybox.estimation.transcription.preparation import prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem, FitProgressCallback, TranscriptionReason
 from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.model import Effect, Model
 from greybox.model.effects.scales import (

@@ -15,13 +15,8 @@ from greybox.estimation import errors, noise_loop, optimum, result_parts
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions, Hessian, Transcription, explain_unknown, resolve_options
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import (
-    EstimationProblem,
-    Solution,
-    begin_with_known_past,
-    guess_initial_states,
-    prepare_problem,
-)
+from greybox.estimation.transcription.preparation import begin_with_known_past, guess_initial_states, prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem, Solution
 from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps

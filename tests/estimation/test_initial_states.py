@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit, simulate
 from greybox.estimation.score import score
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.estimation.validate import FIRST_ROWS, determine_initial_states, fit_first_rows, validate
 from models.cascaded_tanks import cascaded_tanks
 

@@ -9,7 +9,7 @@ import greybox as gb
 from greybox.base.figure import Role, Thinning
 from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.estimation.residuals import run_residual_tests
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.show.figures.figure import KEPT_STRETCHES, draw_over_time, scale_to_prefix, value_range
 from greybox.show.figures.fit import cross_correlation
 from greybox.simulation.records import to_record

@@ -30,7 +30,8 @@ from greybox.estimation.optim.minimisation import (
 )
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.starts import SearchTrouble, draw_starts
-from greybox.estimation.transcription.problem import Completion, TranscriptionReason, prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
+from greybox.estimation.transcription.problem import Completion, TranscriptionReason
 from tests.oracles.independent import multisine, solved_record
 from tests.support.oscillator import oscillator
 

@@ -12,7 +12,7 @@ from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import NoiseSource
 from greybox.estimation.noise_loop import estimate_by_simulation_error, update_noise
 from greybox.estimation.options import EstimationPolicy
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from tests.estimation.test_robust_estimation import LEVEL, TRUTH, record, spoiled
 from tests.support.published_plants import REST, SATURATION, TIMES, VALUES
 from tests.support.pushed_mass import MASS

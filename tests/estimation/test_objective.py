@@ -18,7 +18,7 @@ from greybox.estimation.objective import (
     search_minimum,
 )
 from greybox.estimation.optimum import restore_objective
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, record
 
 KINDS = {"simulation": SimulationErrorObjective, "prediction": PredictionErrorObjective}

@@ -12,7 +12,7 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.collocation import Collocation
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.multiple_shooting import MultipleShooting
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.estimation.transcription.segments import SegmentedProblem, cut_in_rows
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import linear_record, values

@@ -19,7 +19,7 @@ from greybox.estimation.optimum import restore_objective
 from greybox.estimation.options import FitOptions
 from greybox.estimation.profile_pairs import profile_pair
 from greybox.estimation.score import score
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.estimation.uncertainty import bootstrap, profile
 from greybox.show import text
 from tests.support.plant_cases import CASES, PlantCase

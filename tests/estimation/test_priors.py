@@ -7,7 +7,7 @@ from scipy.linalg import expm
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit, load_fit
 from greybox.base.errors import ModelError
 from greybox.estimation.findings import EstimationCode
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.estimation.uncertainty import bootstrap, profile
 from greybox.show import text
 from models.micro_actuator import micro_actuator

@@ -15,7 +15,7 @@ from greybox.data.noise.spectrum import estimate_noise_from_differences
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.options import parse_loss
 from greybox.estimation.residuals import residual_tests
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.estimation.transcription.shooting_cost import WhitenedShooting
 from greybox.estimation.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator

@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, fit, simulate
 from greybox.base.errors import ModelError
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 
 POSITIVE = (1e-3, 1e3)
 TRUE = {"forth": 0.8, "back": 0.3, "make": 2.0, "lose": 0.15}

@@ -5,7 +5,7 @@ import numpy as np
 
 from greybox.estimation.findings import EstimationCode, locate_simulation_failure
 from greybox.estimation.options import FitOptions
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.model.balance import Balance
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State

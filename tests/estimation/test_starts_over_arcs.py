@@ -8,7 +8,7 @@ import greybox as gb
 from greybox import Balance, FitOptions, Input, Model, Output, Parameter, State
 from greybox.estimation.noise_loop import StartCost
 from greybox.estimation.starts import measure_fresh_effects
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 
 PERIOD, NOISE, DAMPING, WEIGHT = 0.02, 1e-3, 0.5, 25.0
 FORCE, PHASE, PITCH = 1.5, 0.5, 0.25

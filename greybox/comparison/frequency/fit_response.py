@@ -26,7 +26,8 @@ from greybox.estimation.linear.linearise import linearise_at
 from greybox.estimation.linear.operating_point import ModelFunctions, PointMemory
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
 from greybox.simulation.plant import PlantModel, PlantRunError

@@ -26,7 +26,8 @@ from greybox.estimation.identifiability.sensitivity import RANDOM_EXPERIMENT_NOI
 from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.model import Model
 from greybox.simulation.simulate import simulate
 

@@ -13,7 +13,8 @@ from greybox.base import ModelError
 from greybox.base.linear_algebra import eliminate
 from greybox.data.experiment import Experiment
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import EstimationProblem, guess_initial_states, prepare_problem
+from greybox.estimation.transcription.preparation import guess_initial_states, prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.extensions.design.problem import DesignProblem
 from greybox.model import Model
 from greybox.simulation.kernel.interface import KernelPoint

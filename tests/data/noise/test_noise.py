@@ -16,7 +16,7 @@ from greybox.data.noise.repeats import deviations_from_mean, find_repetition
 from greybox.data.noise.spectrum import estimate_noise_from_differences
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.estimation.transcription.shooting_cost import WhitenedShooting
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine

@@ -14,7 +14,7 @@ from greybox.estimation.check import check
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode
 from greybox.estimation.identifiability.transfer_functions import PolynomialValues, transfer_function_coefficients
 from greybox.estimation.identifiability.twins import Twin, find_twins
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.simulation.simulate import simulate
 from models.emps import emps
 from models.micro_actuator import micro_actuator

@@ -7,7 +7,7 @@ import pytest
 
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.decision_vector import DecisionVector, NoiseLevels
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record
 

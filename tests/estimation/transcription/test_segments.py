@@ -5,7 +5,7 @@ import pytest
 
 from greybox.base.errors import DataError
 from greybox.estimation.options import FitOptions
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.estimation.transcription.segments import SegmentedProblem, cut_in_rows, cut_in_seconds, split_into_arcs
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine

@@ -7,7 +7,8 @@ import pytest
 
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions, StepRefinementPolicy
-from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem, Solution
 from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
 from tests.oracles.independent import solved_record
 from tests.support.oscillator import oscillator

@@ -16,7 +16,8 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.collocation import Collocation
 from greybox.estimation.transcription.eliminated_states import ProjectedShooting
 from greybox.estimation.transcription.multiple_shooting import MultipleShooting
-from greybox.estimation.transcription.problem import TranscriptionReason, prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
+from greybox.estimation.transcription.problem import TranscriptionReason
 from greybox.estimation.transcription.segments import (
     SegmentedProblem,
     choose_segment_rows,

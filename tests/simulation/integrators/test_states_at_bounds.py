@@ -9,7 +9,7 @@ import pytest
 import greybox as gb
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
 from greybox.estimation.options import FitOptions
-from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.simulation.integrators.esdirk import esdirk
 from greybox.simulation.kernel.adaptive import AdaptiveKernel
 from greybox.simulation.kernel.interface import KernelPoint
