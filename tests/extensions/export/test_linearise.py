@@ -246,6 +246,25 @@ def test_an_integrating_state_stays_where_it_starts_or_moves_steadily():
     assert finding.values["speed"] == pytest.approx(0.04727, rel=1e-3) and finding.values["others_rest"]
 
 
+@pytest.mark.parametrize("start", [1e-5, 1.0, 1e5])
+def test_a_motion_against_a_spring_lasts_a_moment_in_whatever_unit_it_is_counted(start):
+    counted = Model(
+        "counted",
+        [State("x", "1", start, role="displacement"), State("v", "1/s", role="velocity")],
+        [Input("F", "N")],
+        [Output("x", "1")],
+        [Parameter("m", "N*s^2", 2.0), Parameter("k", "N", 3.0), Parameter("c", "N*s", 0.5)],
+        lambda x, u, p: [
+            Balance("way", "1/s", 1, "x", v=x.v),
+            Balance("force", "N", p.m, "v", drive=u.F, spring=-p.k * x.x, drag=-p.c * x.v),
+        ],
+    )
+    point = gb.export.find_operating_point(counted, {"v": 10.0})
+    assert point.inputs["F"] == pytest.approx(3.0 * start + 5.0, rel=1e-12)
+    (finding,) = point.findings
+    assert finding.code == Code.STEADY_MOTION and not finding.values["others_rest"]
+
+
 @pytest.fixture(scope="module")
 def steady():
     """The whole chain moving at 0.1 m/s: the valve has no slope at u = 0, where the search begins."""
