@@ -233,6 +233,21 @@ def test_outliers_at_its_beginning_do_not_spoil_a_validation():
     assert late(FitOptions(loss="huber")) < 1.5 < 3 < late(FitOptions())
 
 
+def test_the_misfit_of_a_validation_leaves_its_outliers_out():
+    model, bad = fit(TRUTH, record(1), noise=LEVEL).model, record(2)
+    x = bad.outputs["x"].copy()
+    x[300::150] += 200 * LEVEL["x"]
+    bad = bad.with_outputs({**bad.outputs, "x": x})
+    judged = {
+        loss: validate(model, bad, noise=LEVEL, options=FitOptions(loss=loss)).misfit["x"]
+        for loss in ("huber", "squares")
+    }
+    assert judged["huber"].noise_ratio == pytest.approx(1.0, abs=0.1)
+    # The root mean square of noise and of one reading in 150 that is 200 times as far off.
+    share = len(x[300::150]) / len(x)
+    assert judged["squares"].noise_ratio == pytest.approx(np.sqrt(1 + share * 200**2), rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
