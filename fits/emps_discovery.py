@@ -108,7 +108,7 @@ def _kept_back(name: str, arcs: Sequence[gb.Experiment], k: int, noise: NoiseMod
 
 
 def _error(model: gb.Model, records: Sequence[gb.Experiment], rows: int) -> float:
-    return gb.validate(model, records, skip=rows).misfit["q"].rmse
+    return gb.validate(model, records, skip=rows, initial_rows=rows).misfit["q"].rmse
 
 
 def _rms(values: np.ndarray) -> np.ndarray:
