@@ -413,7 +413,7 @@ def _find_inputs_before(optimum: Optimum, estimates: Mapping[str, Estimate]) -> 
             level = {o.name: std for o, std in zip(model.outputs, noise.std, strict=True)}
             # An output that nothing measures has no noise, and no run that anything is held against.
             moves = [np.ptp(run[waits]) / level[name] for name, run in trace.simulated.items()]
-            if not len(trace.before_ages) and np.nanmax(moves) > MOVES_BEFORE:
+            if not len(trace.before_ages) and np.nanmax(moves, initial=0.0) > MOVES_BEFORE:
                 one = model.inputs[delay.column]
                 figures = {"seconds": seconds, "first": float(trace.inputs[one.name][0]), "unit": one.unit}
                 figures |= {"input": one.name, "until": float(trace.time[0]) + seconds}
@@ -705,13 +705,14 @@ def find_validation_issues(fitted: Fit, validation: Validation) -> tuple[Finding
     return (*([beyond] if beyond else []), *larger)
 
 
-# Share of the fitted range of a signal beyond which a reading is outside it, and share of such rows from which records judge what none
-# of the fitted ones has shown.
-RANGE_MARGIN, BEYOND_SHARE = 0.1, 0.1
+# Share of the fitted range of a signal by which a reading must leave it to be outside: an end that noise has moved is none.
+RANGE_MARGIN = 0.1
+# Share of rows outside from which records judge what none of the fitted ones has shown.
+BEYOND_SHARE = 0.1
 
 
 def find_range_beyond(fitted: Sequence[Experiment], judging: Sequence[Experiment], model: Model) -> Finding | None:
-    """The input or output that leaves its fitted range for most of the rows of the judging records; None where all stay within."""
+    """The input or output that most often lies outside its fitted range in the judging records; None where all hardly ever do."""
     units, beyond = {i.name: i.unit for i in model.inputs} | {o.name: o.unit for o in model.outputs}, []
     for name in units:
         known, judged = (

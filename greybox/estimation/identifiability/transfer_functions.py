@@ -102,7 +102,7 @@ def _responses(
     x = r @ b
     cr = nominal.c @ r
     value = cr @ b + d
-    # dG = dC R B + C R (dA R B + dB) + dD, by products of matrices: sums over every index at once take a hundred times as long.
+    # dG = dC R B + C R (dA R B + dB) + dD, by products of matrices: of twenty states sums over every index take ten times as long.
     of_outputs, of_states = (np.tensordot(da, x, axes=(2, 1)) for da in (along.c, along.a))  # (np, ny or nx, k, m)
     inner = of_states.transpose(2, 1, 3, 0) + db.transpose(0, 2, 3, 1)  # (k, nx, m, np)
     through = (cr @ inner.reshape(*inner.shape[:2], -1)).reshape(len(s), -1, *inner.shape[2:])
