@@ -138,7 +138,8 @@ def test_a_result_in_python_stands_on_a_screen_too() -> None:
         gb.Experiment(f"record of a long name {k}", time, {"u": np.sign(np.sin(time))}, {"y": rng.normal(size=200)})
         for k in range(20)
     ]
-    fit = gb.fit(first_order(), records, noise={"y": 0.01}, per_experiment=["gain"])
+    options = gb.FitOptions(other_starts=0)
+    fit = gb.fit(first_order(), records, noise={"y": 0.01}, per_experiment=["gain"], options=options)
     lines, whole = (text(fit, details=details).splitlines() for details in (None, True))
     assert len(lines) <= MOST_LINES < len(whole) and max(map(len, lines)) <= 80
     assert len(str(fit).splitlines()) <= MOST_LINES
