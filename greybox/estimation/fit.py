@@ -52,7 +52,7 @@ from greybox.estimation.prediction_error import (
 )
 from greybox.estimation.reading_errors import find_mistaken_units, find_reading_errors
 from greybox.estimation.result import Fit
-from greybox.estimation.starts import search_from_starts
+from greybox.estimation.starts import StartSearch, search_from_starts
 from greybox.estimation.transcription.preparation import begin_with_known_past, prepare_problem
 from greybox.estimation.transcription.problem import Completion, EstimationProblem, FitProgressCallback, make_strategy
 from greybox.estimation.transcription.shooting_cost import Evaluation
@@ -204,9 +204,8 @@ def fit(
         if not problem.step.per_interval:
             refuse_long_time_gaps(judges)
         with hold_interrupts() as interrupt:
-            begun, optimum, starts, notices = search_from_starts(
-                problem, experiments, options, colour, report, interrupt, goes_on=bool(initial)
-            )
+            search = StartSearch(problem, experiments, options, colour, report)
+            begun, optimum, starts, notices = search_from_starts(search, interrupt, goes_on=bool(initial))
             optimum = _refine_for_constants(optimum, options, report)
             # With the steps it ends with, or from where another start led, the model's own may be better again.
             if optimum is not begun and not optimum.solution.joined:

@@ -28,7 +28,7 @@ from greybox.estimation.optimum import SimulationOptimum
 from greybox.estimation.options import ColourTreatment, FitOptions, explain_unknown, resolve_options
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
-from greybox.estimation.starts import compute_ratio, draw_starts, measure_fresh_effects
+from greybox.estimation.starts import StartSearch, compute_ratio, draw_starts, measure_fresh_effects
 from greybox.estimation.transcription.preparation import begin_with_known_past, prepare_problem
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.model import Model
@@ -339,7 +339,7 @@ def _draw_others(
     """Random starts; the constants of effects that change nothing yet are drawn about values that the records can show."""
     model, rng = problem.model, np.random.default_rng(seed)
     begins = draw_starts(model, count, seed, factor)
-    fresh = measure_fresh_effects(problem, problem.experiments, options) if begins else None
+    fresh = measure_fresh_effects(StartSearch(problem, problem.experiments, options)) if begins else None
     if fresh is None:
         return begins
     for effect in fresh.effects:

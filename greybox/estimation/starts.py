@@ -54,43 +54,81 @@ LEAST_BEST_FIT = 5.0
 STARTS_FACTOR = 30.0
 
 
+@dataclass(frozen=True, eq=False)
+class StartSearch:
+    """A fit as it searches, wherever it begins.
+
+    Parameters
+    ----------
+    problem
+        The estimation problem with the model's own start.
+    experiments
+        The records, from which that of another start is laid out.
+    options
+        Options of the fit.
+    colour
+        How coloured noise is treated.
+    report
+        Called with the progress of a search.
+    """
+
+    problem: EstimationProblem
+    experiments: Experiment | Sequence[Experiment]
+    options: FitOptions
+    colour: ColourTreatment | str = ColourTreatment.KNOWN
+    report: FitProgressCallback | None = None
+
+    @property
+    def near(self) -> StartSearch:
+        """The same from an optimum on: no part of the records comes before the whole."""
+        return replace(self, options=replace(self.options, progressive=False))
+
+    def prepare(self, model: Model, initial: Sequence[Mapping[str, float]] = ()) -> EstimationProblem:
+        """The problem from where ``model`` stands, its records from the ``initial`` states."""
+        return prepare_problem(model, self.experiments, self.problem.noise, self.options, initial=initial)
+
+    def search(self, problem: EstimationProblem, model: Model | None = None) -> SimulationOptimum:
+        """The end of a search from where ``problem`` begins; of ``model``, where that has start values of its own."""
+        end = estimate_by_simulation_error(problem, self.options, self.colour, self.report)
+        return SimulationOptimum(model or problem.model, end)
+
+    def rank(self, end: SimulationOptimum) -> float:
+        """`compute_ratio` of an end: the smaller the better."""
+        return compute_ratio(end.evaluation.cost, end.misfit, self.problem.noise)
+
+    def leaves_known_noise(self, end: SimulationOptimum) -> bool:
+        """Whether only noise is left whose level something tells: no other start finds more."""
+        return self.problem.noise.is_level_known and is_at_noise(end)
+
+
 def search_from_starts(
-    problem: EstimationProblem,
-    experiments: Experiment | Sequence[Experiment],
-    options: FitOptions,
-    colour: ColourTreatment | str,
-    report: FitProgressCallback | None,
-    interrupt: HeldInterrupt,
-    *,
-    goes_on: bool,
+    fit: StartSearch, interrupt: HeldInterrupt, *, goes_on: bool
 ) -> tuple[SimulationOptimum, SimulationOptimum, tuple[result_parts.StartResult, ...], tuple[Finding, ...]]:
     """The end from the model's own start, the best end of all starts, where each other one ended, and what is to be said of it.
 
     A search that ``goes_on`` from where another ended is not to end elsewhere: it has one start.
     """
-    model = problem.model
+    with_effects = None if goes_on else _begin_with_effects(fit)
+    begun = with_effects or fit.search(fit.problem)
     if goes_on:
-        only = SimulationOptimum(model, estimate_by_simulation_error(problem, options, colour, report))
-        return only, only, (), ()
-    with_effects = _begin_with_effects(problem, experiments, options, colour, report)
-    begun = with_effects or SimulationOptimum(model, estimate_by_simulation_error(problem, options, colour, report))
+        return begun, begun, (), ()
     # A model whose effects had no values of their own began where they change nothing already.
     beginnings = (_search_from_rest,) if with_effects else (_search_from_neutral_effects, _search_from_rest)
     for search_from_there in beginnings:
         if begun.status is TerminationStatus.INTERRUPTED:
             return begun, begun, (), ()
-        again = search_from_there(begun, problem, experiments, options, colour, report)
-        if again is not None and _rank_end(again, problem.noise) < _rank_end(begun, problem.noise):
-            begun = SimulationOptimum(model, again.solution.with_work_of(begun.solution))
-    if begun.status is TerminationStatus.INTERRUPTED or not model.free_parameters:
+        again = search_from_there(fit, begun)
+        if again is not None and fit.rank(again) < fit.rank(begun):
+            begun = SimulationOptimum(begun.model, again.solution.with_work_of(begun.solution))
+    if begun.status is TerminationStatus.INTERRUPTED or not begun.model.free_parameters:
         return begun, begun, (), ()
     # Other starts are compared by the steps that the search took: at explicit ones a stiff model runs from few of them.
     if begun.solution.problem.step.adaptive:
-        problem = problem.with_steps_of(begun.solution.problem)
-    trouble = find_trouble(begun, problem, with_effects is None and options.other_starts > 0)
+        fit = replace(fit, problem=fit.problem.with_steps_of(begun.solution.problem))
+    trouble = find_trouble(begun, fit.problem, with_effects is None and fit.options.other_starts > 0)
     if trouble is None:
         return begun, begun, (), ()
-    return begun, *_try_other_starts(begun, trouble, problem, experiments, options, colour, report, interrupt)
+    return begun, *_try_other_starts(fit, begun, trouble, interrupt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,27 +143,20 @@ class FreshEffects:
     scales: Scales
 
 
-def measure_fresh_effects(
-    problem: EstimationProblem,
-    experiments: Experiment | Sequence[Experiment],
-    options: FitOptions,
-    colour: ColourTreatment | str = ColourTreatment.KNOWN,
-    report: FitProgressCallback | None = None,
-) -> FreshEffects | None:
-    """The effects of the model of ``problem`` that have no values of their own yet; None without one, or where nothing runs without them.
+def measure_fresh_effects(fit: StartSearch) -> FreshEffects | None:
+    """The effects of the model of a fit that have no values of their own yet; None without one, or where nothing runs without them.
 
     Their constants may have no slope where they change nothing, so what the records can show of them is measured on the model without.
     """
-    model = problem.model
-    fresh = [e for e in model.effects if is_neutral(model, e)] if options.other_starts else []
+    model = fit.problem.model
+    fresh = [e for e in model.effects if is_neutral(model, e)] if fit.options.other_starts else []
     if not fresh:
         return None
     try:
         plain = reduce(Model.without, (e.name for e in fresh), model)
     except ModelError:  # a tie or a schedule of the user's needs them
         return None
-    of_plain = prepare_problem(plain, experiments, problem.noise, options)
-    optimum = SimulationOptimum(plain, estimate_by_simulation_error(of_plain, options, colour, report))
+    optimum = fit.search(fit.prepare(plain))
     if not np.isfinite(optimum.evaluation.cost):
         return None
     # As it was fitted: the free run of an unstable plant may leave the record.
@@ -135,43 +166,36 @@ def measure_fresh_effects(
     return FreshEffects(fresh, optimum, scales)
 
 
-def _begin_with_effects(
-    problem: EstimationProblem,
-    experiments: Experiment | Sequence[Experiment],
-    options: FitOptions,
-    colour: ColourTreatment | str,
-    report: FitProgressCallback | None,
-    fresh: FreshEffects | None = None,
-) -> SimulationOptimum | None:
+def _begin_with_effects(fit: StartSearch, fresh: FreshEffects | None = None) -> SimulationOptimum | None:
     """The best end of searches that begin where the effects of a model begin; None where every effect has values of its own.
 
     The model is fitted without its fresh effects first; from that optimum, and from the constants as given, the effects begin at sizes and
     shapes that the record can show (those that a discovery begins at). The optimum without them is a start as well: a model with an
     effect more is never worse.
     """
-    fresh = fresh or measure_fresh_effects(problem, experiments, options, colour, report)
+    fresh = fresh or measure_fresh_effects(fit)
     if fresh is None:
         return None
-    model, smaller, scales = problem.model, fresh.plain, fresh.scales
+    model, smaller, scales, near = fit.problem.model, fresh.plain, fresh.scales, fit.near
     plain = smaller.model
     # Only a state that is estimated is given where it began: at rest, or at a declared start value, the model says it itself.
     began = [plain.system.state_names[k] for k in smaller.variables.free_states]
     initial = [{name: t.initial_state[name] for name in began} for t in smaller.traces] if began else []
-    near = replace(options, progressive=False)  # it begins at an optimum
     fitted = {name: smaller.fitted_model.values[name] for name in (q.name for q in plain.free_parameters)}
     # Its best point is that of the whole model, whose effects are neutral.
     if smaller.status is TerminationStatus.INTERRUPTED:
-        began_at = prepare_problem(model.start(**fitted), experiments, problem.noise, near, initial=initial)
+        began_at = near.prepare(model.start(**fitted), initial)
         evaluation = began_at.shooting().evaluate(began_at.variables.here)
         ended = replace(
             smaller.search, problem=began_at, variables=began_at.variables, evaluation=evaluation, joined=None
         )
         return SimulationOptimum(model, ended)
 
-    begun = prepare_problem(model, experiments, problem.noise, near, initial=initial)
+    begun = near.prepare(model, initial)
     # By the cost that the search will have: segments of an unstable plant, where the model without them was fitted so.
     is_segmented = smaller.solution.transcription == Transcription.MULTIPLE
-    start_cost = StartCost(begun, replace(near, transcription=Transcription.MULTIPLE) if is_segmented else near)
+    searched_by = replace(near.options, transcription=Transcription.MULTIPLE) if is_segmented else near.options
+    start_cost = StartCost(begun, searched_by)
     begins: list[dict[str, float]] = [fitted]
     searched = 0
     # One effect after the other, each beside the best of those before it.
@@ -189,55 +213,40 @@ def _begin_with_effects(
 
     for begin in (*begins[:searched], fitted):
         # The optimum without the effects is searched from only where no other start does better.
-        if begin is fitted and any(_rank_end(end, problem.noise) <= _rank_end(smaller, problem.noise) for end in ends):
+        if begin is fitted and any(fit.rank(end) <= fit.rank(smaller) for end in ends):
             continue
-        other = prepare_problem(model.start(**begin), experiments, problem.noise, near, initial=initial)
-        ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, near, colour, report)))
-        if ends[-1].status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(ends[-1])):
+        ends.append(near.search(near.prepare(model.start(**begin), initial), model))
+        if ends[-1].status is TerminationStatus.INTERRUPTED or fit.leaves_known_noise(ends[-1]):
             break
-    return min(ends, key=lambda end: _rank_end(end, problem.noise))
+    return min(ends, key=fit.rank)
 
 
-def _search_from_neutral_effects(
-    begun: SimulationOptimum,
-    problem: EstimationProblem,
-    experiments: Experiment | Sequence[Experiment],
-    options: FitOptions,
-    colour: ColourTreatment | str,
-    report: FitProgressCallback | None,
-) -> SimulationOptimum | None:
+def _search_from_neutral_effects(fit: StartSearch, begun: SimulationOptimum) -> SimulationOptimum | None:
     """The end of searches from where effects change nothing, of a model whose effects began at values of their own.
 
     Those are made where the model without them does as well or better: a model with an effect more is never worse. None where they are
     not, and where only noise is left to explain.
     """
     model, values = begun.model, list_neutral_values(begun.model)
-    if not values or (problem.noise.is_level_known and is_at_noise(begun)):
+    if not values or fit.leaves_known_noise(begun):
         return None
-    absent = replace(problem, model=model.start(**values))
-    fresh = measure_fresh_effects(absent, experiments, options, colour, report)
-    if fresh is None or _rank_end(fresh.plain, problem.noise) >= _rank_end(begun, problem.noise):
+    absent = replace(fit, problem=replace(fit.problem, model=model.start(**values)))
+    fresh = measure_fresh_effects(absent)
+    if fresh is None or fit.rank(fresh.plain) >= fit.rank(begun):
         return None
-    return _begin_with_effects(absent, experiments, options, colour, report, fresh)
+    return _begin_with_effects(absent, fresh)
 
 
 # Standard deviations of the cost of noise alone, the square root of twice the number of readings, below which nothing is left to explain.
 CHANCE_OF_COST = 4.0
 
 
-def _search_from_rest(
-    begun: SimulationOptimum,
-    problem: EstimationProblem,
-    experiments: Experiment | Sequence[Experiment],
-    options: FitOptions,
-    colour: ColourTreatment | str,
-    report: FitProgressCallback | None,
-) -> SimulationOptimum | None:
+def _search_from_rest(fit: StartSearch, begun: SimulationOptimum) -> SimulationOptimum | None:
     """The end of a search from the constants of ``begun`` with bodies at rest that it has set in motion from there; None without one.
 
     A first velocity that dry friction stops within a few rows makes up for constants that are wrong at the time, and no slope leads back.
     """
-    system, first = problem.model.system, problem.variables.initial
+    system, first = fit.problem.model.system, fit.problem.variables.initial
     moved = [
         system.state_names[j]
         for j in sorted({d.state for d in system.dry})
@@ -245,14 +254,13 @@ def _search_from_rest(
     ]
     is_moving = any(trace.initial_state[name] for trace in begun.traces for name in moved)
     cost, count = begun.evaluation.cost, sum(misfit.samples for misfit in begun.misfit.values())
-    is_noise = problem.noise.is_level_known and cost <= count + CHANCE_OF_COST * np.sqrt(2 * count)
+    is_noise = fit.problem.noise.is_level_known and cost <= count + CHANCE_OF_COST * np.sqrt(2 * count)
     if not is_moving or is_noise:
         return None
     free = [system.state_names[j] for j in np.flatnonzero(first.free)]
     rest = [{n: 0.0 if n in moved else trace.initial_state[n] for n in free} for trace in begun.traces]
     model = begun.model.start(**{q.name: begun.fitted_model.values[q.name] for q in begun.model.free_parameters})
-    at_rest = prepare_problem(model, experiments, problem.noise, options, initial=rest)
-    return SimulationOptimum(begun.model, estimate_by_simulation_error(at_rest, options, colour, report))
+    return fit.search(fit.prepare(model, rest), begun.model)
 
 
 class SearchTrouble(StrEnum):
@@ -375,14 +383,7 @@ def count_open_directions(variables: DecisionVector, evaluation: Evaluation, ste
 
 
 def _try_other_starts(
-    first: SimulationOptimum,
-    trouble: SearchTrouble,
-    problem: EstimationProblem,
-    experiments: Experiment | Sequence[Experiment],
-    options: FitOptions,
-    colour: ColourTreatment | str,
-    report: FitProgressCallback | None,
-    held: HeldInterrupt,
+    fit: StartSearch, first: SimulationOptimum, trouble: SearchTrouble, held: HeldInterrupt
 ) -> tuple[SimulationOptimum, tuple[result_parts.StartResult, ...], tuple[Finding, ...]]:
     """The best end of ``first`` and of other starts, where each ended, best first, and what is to be said of it.
 
@@ -392,7 +393,8 @@ def _try_other_starts(
     from there is worth, and a search takes dozens. Where the best end explains nothing yet, as many follow about the scales that the
     records show (`find_scales`).
     """
-    model, loss = first.model, options.to_loss()
+    model, problem, options = first.model, fit.problem, fit.options
+    loss = options.to_loss()
     # One run from each start, judged as its search will judge it: squares would tell how it follows the outliers.
     judged = StartCost(problem if loss is None else replace(problem, loss=to_huber(loss, options)), options)
 
@@ -403,7 +405,7 @@ def _try_other_starts(
         return float(judged.evaluate(variables)[0].cost)
 
     begins, ends = [{q.name: q.value for q in model.free_parameters}], [first]
-    ratios = [_rank_end(first, problem.noise)]
+    ratios = [fit.rank(first)]
     best, drawn = first, 0
     for seed in range(2 if options.other_starts and not held.requested else 0):
         about = model.start(**find_scales(model, compute_cost)) if seed else model
@@ -413,14 +415,10 @@ def _try_other_starts(
         costs = [compute_cost(begin) for begin in near]
         drawn += len(near)
         for k in [k for k in np.argsort(costs) if np.isfinite(costs[k])][: options.other_starts]:
-            other = prepare_problem(model.start(**near[k]), experiments, problem.noise, options)
-            ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, options, colour, report)))
+            ends.append(fit.search(fit.prepare(model.start(**near[k])), model))
             begins.append(near[k])
-            ratios.append(_rank_end(ends[-1], problem.noise))
-            # Nothing is left to find where only noise that something tells is left.
-            if ends[-1].status is TerminationStatus.INTERRUPTED or (
-                problem.noise.is_level_known and is_at_noise(ends[-1])
-            ):
+            ratios.append(fit.rank(ends[-1]))
+            if ends[-1].status is TerminationStatus.INTERRUPTED or fit.leaves_known_noise(ends[-1]):
                 break
         best = ends[int(np.argmin(ratios))]
         if ends[-1].status is TerminationStatus.INTERRUPTED or not explains_nothing(best):
@@ -523,8 +521,3 @@ def compute_ratio(cost: float, misfit: Mapping[str, result_parts.Misfit], known:
     # Of a robust fit without its outliers: they would rank the ends by how each follows them.
     errors = {name: m.error if m.without_outliers and m.error is not None else m.rmse for name, m in misfit.items()}
     return float(np.sqrt(np.mean([(error / std[name]) ** 2 for name, error in errors.items()])))
-
-
-def _rank_end(end: SimulationOptimum, known: NoiseModel) -> float:
-    """`compute_ratio` of the end of a search."""
-    return compute_ratio(end.evaluation.cost, end.misfit, known)

@@ -7,7 +7,7 @@ import pytest
 import greybox as gb
 from greybox import Balance, FitOptions, Input, Model, Output, Parameter, State
 from greybox.estimation.noise_loop import StartCost
-from greybox.estimation.starts import measure_fresh_effects
+from greybox.estimation.starts import StartSearch, measure_fresh_effects
 from greybox.estimation.transcription.preparation import prepare_problem
 
 PERIOD, NOISE, DAMPING, WEIGHT = 0.02, 1e-3, 0.5, 25.0
@@ -59,7 +59,7 @@ def balanced() -> gb.Experiment:
 def test_effects_are_measured_on_the_run_that_was_fitted(balanced: gb.Experiment) -> None:
     options = FitOptions(arc_length=0.4)
     problem = prepare_problem(pendulum() + gb.effect("cogging"), balanced, {"q": NOISE}, options)
-    fresh = measure_fresh_effects(problem, balanced, options)
+    fresh = measure_fresh_effects(StartSearch(problem, balanced, options))
     assert fresh is not None
     assert fresh.scales.displacement == pytest.approx(np.abs(balanced.outputs["q"]).max(), rel=0.05)
 
