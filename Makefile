@@ -27,6 +27,8 @@ demo: $(VENV)/.installed ## install greybox and run its demonstration
 # One thread for BLAS: the matrices are 4x4, and a thread pool costs a hundred times the arithmetic.
 test test-rest: export OMP_NUM_THREADS = 1
 test test-rest: export OPENBLAS_NUM_THREADS = 1
+# Hundreds of processes that tests start would each compile the sources anew where the environment forbids to keep what was compiled.
+unexport PYTHONDONTWRITEBYTECODE
 test: $(VENV)/.installed-dev ## run the everyday tests, in three minutes (the studies: make test ARGS="-m slow")
 	$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
 
