@@ -44,10 +44,10 @@ def case(rig, effects, noise, others, rows=250, slow=False):
     return pytest.param(rig, effects, noise, others, rows, id=name, marks=pytest.mark.slow if slow else ())
 
 
-# Slow are those that take longest and have a relative in the ordinary run: another friction, stiffness, memory, limit or pair.
+# Slow are those that have a relative in the run of each change: another friction, stiffness, memory, limit, load or pair.
 CASES = [
     case(micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, WELL, None, rows=350, slow=True),
-    case(micro_actuator, {"input_offset": {"u0": 0.05}}, WELL, None),
+    case(micro_actuator, {"input_offset": {"u0": 0.05}}, WELL, None, slow=True),
     case(pneumatic_cylinder, {"valve_lag": {"tau_v": 0.08}}, AIR, None, slow=True),
     case(
         micro_actuator,
@@ -76,6 +76,7 @@ CASES = [
         {"second_mode": {"m2": 4e-4, "k2": 400.0, "c2": 0.02}},
         WELL,
         ("transport_delay",),
+        slow=True,
     ),
     case(
         micro_actuator, {"force_constant_droop": {"a": 2e5}}, WELL, ("cubic_stiffness", "input_saturation"), slow=True
@@ -88,12 +89,18 @@ CASES = [
         rows=350,
         slow=True,
     ),
-    case(micro_actuator, {"eddy_current": {"Re": 30.0}}, WELL, ("transport_delay", "sensor_lag")),
+    case(micro_actuator, {"eddy_current": {"Re": 30.0}}, WELL, ("transport_delay", "sensor_lag"), slow=True),
     case(micro_actuator, {"constant_load": {"F0": 0.05}}, WELL, ("input_offset", "sensor_drift")),
-    case(micro_actuator, {"input_saturation": {"u_max": 2.2}}, WELL, ("cubic_stiffness", "force_constant_droop")),
+    case(
+        micro_actuator,
+        {"input_saturation": {"u_max": 2.2}},
+        WELL,
+        ("cubic_stiffness", "force_constant_droop"),
+        slow=True,
+    ),
     case(micro_actuator, {"input_dead_zone": {"d": 0.15}}, WELL, ("coulomb_friction", "quadratic_damping")),
     case(micro_actuator, {"transport_delay": {"delay": 3.75e-4}}, WELL, ("sensor_lag", "eddy_current")),
-    case(micro_actuator, {"sensor_drift": {"rate": 1e-4}}, WELL, ("constant_load", "viscoelastic_creep")),
+    case(micro_actuator, {"sensor_drift": {"rate": 1e-4}}, WELL, ("constant_load", "viscoelastic_creep"), slow=True),
     case(
         pneumatic_cylinder,
         {"coulomb_friction": {"Fc": 20.0}},
@@ -109,8 +116,9 @@ CASES = [
         AIR,
         ("input_saturation", "valve_lag"),
         rows=350,
+        slow=True,
     ),
-    case(pneumatic_cylinder, {"valve_dead_zone": {"d": 0.2}}, AIR, ("coulomb_friction", "input_saturation")),
+    case(pneumatic_cylinder, {"valve_dead_zone": {"d": 0.2}}, AIR, ("coulomb_friction", "input_saturation"), slow=True),
     case(pneumatic_cylinder, {"backlash": {"gap": 2e-3}}, AIR, ("coulomb_friction", "sensor_lag")),
     # Between the pitches of the grid each refit is lost: the residual shows the pitch.
     case(

@@ -23,6 +23,8 @@ from tests.support.stand_in import find_stand_in
 
 NOISE = {"x": 2e-7, "i": 5e-3}
 FORCE, FREQUENCY = 0.05, 50.0
+# One search for all of them, which takes seconds.
+pytestmark = pytest.mark.rest
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +48,6 @@ def found(rig):
     )
 
 
-@pytest.mark.rest
 def test_a_hum_is_a_tone_at_its_site_and_explains_the_gap(found):
     assert found.verdict is Verdict.UNKNOWN
     surrogate = found.surrogate
@@ -68,7 +69,6 @@ def test_a_hum_is_a_tone_at_its_site_and_explains_the_gap(found):
     assert tone.values["tone"]["alike"] == ["sensor of x"]
 
 
-@pytest.mark.rest
 def test_the_mains_are_suspected(found):
     codes = [step.code for step in found.next_steps]
     assert codes[-2:] == [DiscoveryCode.SUSPECT_MAINS, DiscoveryCode.USE_TONE_MODEL]
@@ -87,7 +87,6 @@ def test_the_model_with_the_tone_is_fitted_to_records_at_rest_from_its_file(foun
     assert (begin["x"], begin["v"]) == (0.0, 0.0)
 
 
-@pytest.mark.rest
 def test_a_tone_is_found_at_rest_too_and_not_where_there_is_none(rig):
     # At rest the way the tone sets in shows its site.
     model = plain_model(micro_actuator)
@@ -100,7 +99,6 @@ def test_a_tone_is_found_at_rest_too_and_not_where_there_is_none(rig):
     assert find_stand_in(DiscoveryProblem(model, (rubbing,), NOISE, (), AT_REST), test).tone is None
 
 
-@pytest.mark.rest
 def test_the_tone_is_written_drawn_and_reported(found, tmp_path):
     saved = json.loads(found.save(tmp_path / "discovery.json").read_text())["stand_in"]
     assert saved["tone"]["frequency"] == found.surrogate.tone.frequency

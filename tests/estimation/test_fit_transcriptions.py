@@ -274,7 +274,7 @@ def test_a_robust_loss_on_an_unstable_plant_is_refused_in_words():
         fit(truth.start(k=700.0), held_up(truth, 600, 2e-3, {"x": 2e-3}), options=FitOptions(loss="huber"))
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_short_arcs_show_the_structure_of_the_drive_and_the_whole_record_what_drifts(shared_data):
     """The published drive: arcs of 0.1 s give the constants that inverse dynamics gives (95.1 kg, 203.5 N s/m, 20.4 N, 3.16 N)."""
     from greybox import read_csv

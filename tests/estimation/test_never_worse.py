@@ -248,7 +248,13 @@ def test_published_constants_are_held(name):
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("draw", [0, 4], ids=["three times off", "ended at another rhythm"])
+@pytest.mark.parametrize(
+    "draw",
+    [
+        pytest.param(0, marks=pytest.mark.slow, id="three times off"),
+        pytest.param(4, id="ended at another rhythm"),
+    ],
+)
 def test_a_relaxation_oscillation_from_far_off_is_found_from_other_starts(draw):
     """They are ranked by the steps of the search, as few of them run at explicit ones; another rhythm is an optimum above the noise."""
     problem, generator = PROBLEMS["Oregonator"], np.random.default_rng(1)
@@ -295,7 +301,15 @@ def test_a_start_that_explicit_steps_do_not_run_is_searched_from_by_others():
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize(("name", "draw"), [("thermal chain", 2), ("thermal chain", 3), ("motor", 2), ("measles", 1)])
+@pytest.mark.parametrize(
+    ("name", "draw"),
+    [
+        pytest.param("thermal chain", 2, marks=pytest.mark.slow),
+        ("thermal chain", 3),
+        pytest.param("motor", 2, marks=pytest.mark.slow),
+        ("measles", 1),
+    ],
+)
 def test_rates_from_anywhere_within_a_decade_are_found_and_none_runs_away(name, draw):
     """Along a plain scale one step took a conductance that the record hardly shows to zero or to 1e20, and each run there to a second."""
     problem = PROBLEMS[name]

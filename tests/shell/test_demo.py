@@ -16,6 +16,9 @@ from greybox.show import text
 from models.micro_actuator import micro_actuator
 from tests.support.findings import codes
 
+# One demonstration for all of them, which takes seconds.
+pytestmark = pytest.mark.rest
+
 
 @pytest.fixture(scope="module")
 def announced() -> list[str]:
@@ -27,14 +30,12 @@ def result(tmp_path_factory: pytest.TempPathFactory, announced: list[str]) -> De
     return run_demo(tmp_path_factory.mktemp("demo"), say=announced.append, pictures=True)
 
 
-@pytest.mark.rest
 def test_the_model_alone_misses_the_record_by_far(result: Demo) -> None:
     assert HIDDEN not in {e.name for e in result.plain.model.effects}
     assert result.plain.misfit["x"].noise_ratio > 50
     assert codes(result.plain.findings) & {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.MODEL_DOES_NOT_FOLLOW}
 
 
-@pytest.mark.rest
 def test_the_hidden_effect_is_named_and_closes_the_gap(result: Demo) -> None:
     assert result.discovery.verdict == "named"
     (effect,) = result.discovery.effects

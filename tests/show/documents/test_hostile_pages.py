@@ -121,6 +121,7 @@ def test_what_is_injected_all_the_same_does_not_run(tab, pages, tmp_path):
     assert tab.evaluate("window.hurt") is None
 
 
+@pytest.mark.rest
 def test_a_page_names_its_scripts_and_nothing_else(pages):
     for kind, page in pages.items():
         head = unescape(render_page(page).partition("</head>")[0])
