@@ -124,9 +124,9 @@ def search(name, reversed_signals=(), late=0):
     [
         pytest.param("motor", "w", "reversed_reading_at_w", marks=pytest.mark.slow),
         ("stage", "x", "reversed_reading"),
-        ("stage", "F", "reversed_input"),
+        pytest.param("stage", "F", "reversed_input", marks=pytest.mark.slow),
         ("heater", "P", "reversed_input"),
-        ("heater", "Ta", "reversed_input_at_Ta"),
+        pytest.param("heater", "Ta", "reversed_input_at_Ta", marks=pytest.mark.slow),
     ],
 )
 def test_the_reversed_signal_is_named(name, signal, effect):
@@ -136,7 +136,7 @@ def test_the_reversed_signal_is_named(name, signal, effect):
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize(("name", "late"), [("motor", 1), ("stage", 1), ("heater", -1)])
+@pytest.mark.parametrize(("name", "late"), [pytest.param("motor", 1, marks=pytest.mark.slow), ("stage", 1), ("heater", -1)])
 def test_an_input_that_is_written_in_another_row_is_named(name, late):
     found = search(name, late=late)
     (effect,) = found.effects
@@ -167,7 +167,7 @@ def test_where_input_and_reading_may_be_reversed_alike_neither_is_certain():
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("name", ["stage", "heater", pytest.param("motor", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["heater", *(pytest.param(name, marks=pytest.mark.slow) for name in ("stage", "motor"))])
 def test_right_signs_are_left_alone(name):
     assert search(name).verdict == "complete"
 

@@ -1,4 +1,4 @@
-"""Every source is parsed once, before the first test that looks at one: no test is charged for all."""
+"""Every source of the library is parsed once, before the first test that looks at one: no test is charged for all."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import pytest
 from tests.support.sources import ROOT, nodes
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="session")
 def read_sources() -> None:
-    for folder in ("greybox", "models", "fits", "plants", "tests"):
+    for folder in ("greybox", "models", "fits"):
         for path in sorted((ROOT / folder).rglob("*.py")):
             nodes(path)

@@ -15,6 +15,7 @@ import pytest
 import greybox
 from tests.support.sources import ROOT, nodes, parsed
 
+pytestmark = pytest.mark.usefixtures("read_sources")
 LIBRARY = sorted((ROOT / "greybox").rglob("*.py"))
 
 # Settings of the whole library; whoever adds one asks first who turns it.

@@ -16,6 +16,8 @@ import pytest
 
 from tests.support.sources import ROOT, nodes
 
+pytestmark = pytest.mark.usefixtures("read_sources")
+
 # The layers: the folders of greybox/, from the ground up. A layer imports from those before it. Inside a layer modules may import one
 # another as long as there is no circle.
 LAYERS = (
