@@ -19,6 +19,7 @@ from greybox.data.survey import survey_file
 from greybox.data.time_base import (
     ChannelUse,
     Samples,
+    _error_of_mean,
     bring_to_one_base,
     estimate_clock_offset,
     interpolate_band_limited,
@@ -393,6 +394,12 @@ def test_electrical_signals_are_the_likely_inputs_where_no_name_says_so(tmp_path
 def _one_pole(values: np.ndarray, lag: float) -> np.ndarray:
     """What a filter of ``lag`` steps leaves of ``values`` (N,)."""
     return lfilter([1 - np.exp(-1 / lag)], [1, -np.exp(-1 / lag)], values)
+
+
+def test_edges_that_lie_alike_between_two_samples_have_one_error() -> None:
+    """At whole seconds, of which one is missing: they do not average out, and the variance is that of a uniform second."""
+    bounds = np.array([0.0, 1.0, 2.0, 4.0, 5.0])[:, None] + np.array([-0.5, 0.5])
+    assert _error_of_mean(bounds, np.ones(5, bool)) == pytest.approx(1 / 12)
 
 
 def _two_clocks(seed: int, kind: str, drift: float) -> tuple[float, float, float, float]:

@@ -76,6 +76,14 @@ def test_a_short_gap_a_resting_drive_and_a_slow_input_are_only_noted():
         assert finding.values["start"] == pytest.approx(0.19975)
 
 
+def test_of_two_inputs_the_one_that_moves_in_the_gap_is_named():
+    time = PERIOD * np.arange(2000)
+    inputs = {"slow": np.sin(2 * np.pi * time / 2), "fast": driven().inputs["u"]}
+    torn = without(Experiment.from_arrays(time, inputs, {"x": np.sin(time)}, name="run"), slice(800, 1200))
+    with pytest.raises(DataError, match="input 'fast'"):
+        refuse_unknown_input([torn])
+
+
 def test_a_torn_record_for_validation_is_refused_before_the_fit():
     reports = []
     with pytest.raises(DataError, match="400 rows are missing"):

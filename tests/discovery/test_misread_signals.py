@@ -136,7 +136,9 @@ def test_the_reversed_signal_is_named(name, signal, effect):
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize(("name", "late"), [pytest.param("motor", 1, marks=pytest.mark.slow), ("stage", 1), ("heater", -1)])
+@pytest.mark.parametrize(
+    ("name", "late"), [pytest.param("motor", 1, marks=pytest.mark.slow), ("stage", 1), ("heater", -1)]
+)
 def test_an_input_that_is_written_in_another_row_is_named(name, late):
     found = search(name, late=late)
     (effect,) = found.effects
@@ -167,7 +169,9 @@ def test_where_input_and_reading_may_be_reversed_alike_neither_is_certain():
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("name", ["heater", *(pytest.param(name, marks=pytest.mark.slow) for name in ("stage", "motor"))])
+@pytest.mark.parametrize(
+    "name", ["heater", *(pytest.param(name, marks=pytest.mark.slow) for name in ("stage", "motor"))]
+)
 def test_right_signs_are_left_alone(name):
     assert search(name).verdict == "complete"
 

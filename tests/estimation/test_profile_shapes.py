@@ -120,6 +120,18 @@ def test_the_region_of_two_constants_is_that_of_the_sum_of_squares():
             assert end == 100.0 or squares(end, b) == pytest.approx(limit, rel=0.03)
 
 
+def test_a_known_constant_narrows_another_as_in_an_ellipse():
+    """Of two normal variables with correlation rho one is known ``1 / sqrt(1 - rho^2)`` times as closely beside the other."""
+    rho, edge = 0.8, 2.448
+    one = np.linspace(-edge, edge, 41)
+    half = np.sqrt((1 - rho**2) * (edge**2 - one**2).clip(0))
+    rise, ends = one**2, (rho * one - half, rho * one + half)
+    region = ProfilePair("a", "b", ("1", "1"), (0.0, 0.0), one, rise, rho * one, *ends, edge**2, (False, False), rho)
+    assert region.shape is ProfileShape.BOUNDED
+    # The highest point of the ellipse lies between two of these values of the first.
+    assert region.narrowing == pytest.approx(1 / 0.6, rel=1e-3)
+
+
 def test_files_hold_the_shape_and_are_read_back(tmp_path):
     one, two = profile(saturation_fit(), "b"), profile_pair(saturation_fit(), "b", "a")
     for value, kind, load in ((one, Profile, load_profile), (two, ProfilePair, load_profile_pair)):

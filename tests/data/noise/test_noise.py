@@ -102,6 +102,16 @@ def test_correlations_and_forecasts_are_those_of_the_process():
     assert AutoRegression().predict(series, 3) == pytest.approx(np.zeros(50000))
 
 
+@pytest.mark.parametrize("rows", [7, 64])
+def test_forecasts_are_the_same_however_many_rows_are_looked_at_together(monkeypatch, rows):
+    """Of a first-order process a forecast is a power of the coefficient times the last reading."""
+    monkeypatch.setattr("greybox.data.noise.noise_model.ROWS_AT_A_TIME", rows)
+    series = coloured(np.random.default_rng(4), 200, 0.9)
+    for ahead in (1, 5):
+        forecast = AutoRegression((0.9,)).predict(series, ahead)
+        assert forecast[ahead:] == pytest.approx(0.9**ahead * series[:-ahead])
+
+
 @pytest.mark.parametrize("reflection", [(0.9,), (0.8, -0.5, 0.3), (0.99, 0.99, 0.99), (0.999, -0.7, 0.2, 0.1, 0.5)])
 @pytest.mark.parametrize("rows", [7, 64, 10_000])
 def test_correlations_are_the_same_however_many_lags_are_looked_at_together(monkeypatch, reflection, rows):

@@ -316,6 +316,19 @@ def test_dry_friction_at_rest_is_left_out_and_named():
     assert held.rates[1] == 0
 
 
+def test_friction_whose_level_has_a_slope_at_rest_has_the_mean_of_both_ways():
+    """The level rises by ``c |v|``: either way the slope of the force is -c, and the jump itself has none."""
+    rising = gb.Effect(
+        "rising_friction",
+        "force",
+        [Parameter("Fc", "N", 0.1), Parameter("c", "N*s/m", 0.7)],
+        dry=lambda x, u, p: gb.DryFriction(p.Fc + p.c * ca.fabs(x.v), p.Fc + p.c * ca.fabs(x.v)),
+        source="a test",
+    )
+    p = constants(micro_actuator)
+    assert gb.linearise(micro_actuator + rising).A[1, 1] == pytest.approx(-(p.B + 0.7) / p.M, rel=1e-12)
+
+
 def test_sliding_friction_has_the_slope_of_its_level():
     falling = (micro_actuator + gb.effect("stribeck_friction")).start(Fc=0.1, Fs=0.2, vs=0.01)
     p = constants(falling)
