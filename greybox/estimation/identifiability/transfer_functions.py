@@ -37,6 +37,8 @@ class _Matrices:
 
 # Random frequencies of a linear model reach this many decades beyond its fastest and slowest pole.
 POLE_DECADES = 1.0
+# Points at which the terms of a slope are looked at.
+FEW_POINTS = 8
 # Free responses of a linear model, each with initial states of its own.
 FREE_RESPONSES = 2
 
@@ -106,7 +108,14 @@ def _responses(
     of_outputs, of_states = (np.tensordot(da, x, axes=(2, 1)) for da in (along.c, along.a))  # (np, ny or nx, k, m)
     inner = of_states.transpose(2, 1, 3, 0) + db.transpose(0, 2, 3, 1)  # (k, nx, m, np)
     through = (cr @ inner.reshape(*inner.shape[:2], -1)).reshape(len(s), -1, *inner.shape[2:])
-    slope = of_outputs.transpose(2, 1, 3, 0) + through + np.moveaxis(dd, 1, -1)
+    of_outputs, dd = of_outputs.transpose(2, 1, 3, 0), np.moveaxis(dd, 1, -1)
+    slope = of_outputs + through + dd
+    # A slope far below its own terms is what cancellation leaves: scaled to length one it would count as any other. Of a function of s that
+    # is zero at a few random points it is so everywhere.
+    few = slice(0, FEW_POINTS)
+    of_states, db = np.abs(of_states.transpose(2, 1, 3, 0)[few]), np.abs(db.transpose(0, 2, 3, 1)[few])
+    terms = np.abs(of_outputs[few]) + np.einsum("kyx,kxmp->kymp", np.abs(cr[few]), of_states + db) + np.abs(dd[few])
+    slope[:, (np.abs(slope[few]) <= CANCELLED_RESPONSE * terms).all(axis=0)] = 0.0
     # Sum of magnitudes: a response far below it is what cancellation leaves, not a response.
     size = np.abs(nominal.c) @ np.abs(r) @ np.abs(b) + np.abs(d)
     return value, slope, size

@@ -89,6 +89,24 @@ def test_a_start_at_rest_tells_more() -> None:
     assert [d.names for d in found.directions] == [("K2", "M_piston", "A_piston", "V_total")]
 
 
+@pytest.mark.parametrize("radiates", [False, True], ids=["transfer functions", "free runs"])
+def test_a_plant_that_begins_where_it_stays_shows_no_rate(radiates) -> None:
+    # T = Ta for all time, whatever the rate: d/dk of 1/(s + k) (Ta + k Ta/s) = Ta/s is zero.
+    room = Model(
+        "room",
+        states=[State("T", "K", lambda p: p.Ta)],
+        inputs=[],
+        outputs=[Output("T", "K")],
+        parameters=[Parameter("k", "1/s", 0.3), Parameter("Ta", "K", 290.0)],
+        balances=lambda x, u, p: [
+            Balance("heat", "K/s", 1, "T", loss=-p.k * (x.T**2 / p.Ta - p.Ta if radiates else x.T - p.Ta))
+        ],
+    )
+    found = analyse_structural_identifiability(room, at_rest=True)
+    assert found.determined == ("Ta",)
+    assert [d.names for d in found.directions] == [("k",)]
+
+
 def test_the_combinations_of_equation_16_2() -> None:
     found = analyse_structural_identifiability(micro_actuator_no_inductance, ["x"])
     assert set(found.determined) == {"K/M", "Kf/(M Ra)", "(Kf Kv/Ra + B)/M"}
