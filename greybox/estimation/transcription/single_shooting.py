@@ -357,6 +357,9 @@ class _Search:
 
     def refine(self, solution: Solution) -> Refinement:
         """A smaller step if need be, but for one of many candidates that would take all the time: it has strayed to stiff constants."""
+        # Of a brief look that may take no smaller step nobody asks what one would change: a tenth of a search went into that.
+        if not (self.options.thorough or self.options.policy.step_refinement.halvings):
+            return None, np.zeros(len(solution.problem.noise.std))
         finer, error = refine_step(solution, self.options)
         too_stiff = STIFF_GROWTH * self.first_substeps
         is_costly = finer is not None and not self.options.thorough and finer.step.substeps > too_stiff
