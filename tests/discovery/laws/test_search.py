@@ -58,15 +58,25 @@ def record(name: str, start: tuple[float, float], seed: int) -> Experiment:
 
 
 @pytest.fixture(scope="module")
-def found():
-    return gb.discover(
-        hunters(False),
-        record("one", (3.0, 1.0), 1),
-        validation=record("two", (1.5, 2.0), 2),
-        noise={"a": NOISE, "b": NOISE},
-        effects=(),
-        laws=True,
-    )
+def searched():
+    """The answer, and what was asked for curves in its place on the way."""
+    asked = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(conclusion, "add_curves_in_place", lambda *given: asked.append(given))
+        answer = gb.discover(
+            hunters(False),
+            record("one", (3.0, 1.0), 1),
+            validation=record("two", (1.5, 2.0), 2),
+            noise={"a": NOISE, "b": NOISE},
+            effects=(),
+            laws=True,
+        )
+    return answer, asked
+
+
+@pytest.fixture(scope="module")
+def found(searched):
+    return searched[0]
 
 
 def test_the_missing_term_is_named_as_an_equation(found):
@@ -79,7 +89,6 @@ def test_the_missing_term_is_named_as_an_equation(found):
     assert found.best.parameters["r"].value == pytest.approx(1.0, rel=0.02)
 
 
-@pytest.mark.rest
 def test_the_file_holds_equation_and_range(found, tmp_path):
     data = load_discovery(found.save(tmp_path / "discovery.json"))
     law = data["effects"][0]
@@ -136,17 +145,8 @@ def test_the_equation_is_claimed_at_every_depth(found):
     assert law["probability"] == name.probability and law["share"] > 0.9
 
 
-def test_no_curve_takes_the_place_of_an_established_law(monkeypatch):
-    asked = []
-    monkeypatch.setattr(conclusion, "add_curves_in_place", lambda *given: asked.append(given))
-    answer = gb.discover(
-        hunters(False),
-        record("one", (3.0, 1.0), 1),
-        validation=record("two", (1.5, 2.0), 2),
-        noise={"a": NOISE, "b": NOISE},
-        effects=(),
-        laws=True,
-    )
+def test_no_curve_takes_the_place_of_an_established_law(searched):
+    answer, asked = searched
     assert [law.formula for law in answer.laws] == ["k*a*b"] and not asked
 
 
