@@ -55,6 +55,14 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """The run of the slower tests opens no file that has none: to import them all takes as long as twenty such tests."""
+    if not config.option.markexpr.startswith("rest") or not collection_path.match("test_*.py"):
+        return None
+    text = collection_path.read_text(encoding="utf-8")
+    return None if "mark.rest" in text or "browser" in text else True
+
+
 def pytest_itemcollected(item: pytest.Item) -> None:
     """A test that opens a browser is none of the everyday ones."""
     if "browser" in getattr(item, "fixturenames", ()):
