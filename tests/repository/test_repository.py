@@ -21,6 +21,7 @@ from greybox.base.extensions import ExtensionKind
 from greybox.shell.template import STUDIES
 from tests.support.sources import ROOT, parsed
 
+pytestmark = pytest.mark.usefixtures("read_sources")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 # Each pattern has a letter in brackets, so that it does not match its own line.
