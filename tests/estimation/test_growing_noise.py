@@ -94,14 +94,14 @@ def test_a_logarithmic_output_is_the_regression_of_logarithms() -> None:
     assert result.noise.growth["y"].share == pytest.approx(rest.std(ddof=2), rel=1e-5)
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "noise"),
     [
         (record, GrowingNoise()),
-        pytest.param(record, GrowingNoise(0.02, 0.1), marks=pytest.mark.slow),
-        pytest.param(lambda seed: record(seed, 0.0), GrowingNoise(floor=0.0), marks=pytest.mark.slow),
-        pytest.param(factor_record, GrowingNoise(logarithmic=True), marks=pytest.mark.slow),
+        (record, GrowingNoise(0.02, 0.1)),
+        (lambda seed: record(seed, 0.0), GrowingNoise(floor=0.0)),
+        (factor_record, GrowingNoise(logarithmic=True)),
     ],
     ids=["estimated", "told", "relative", "logarithmic"],
 )

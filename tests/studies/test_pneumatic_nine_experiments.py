@@ -54,7 +54,7 @@ def test_constants_come_back_from_short_records(truth, noisy, measured):
         assert study.worst_error(found, truth) < 0.01
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_critical_ratio_dead_band_and_friction_come_back_together():
     truth = study.dead_band.free("b")
     records = study.experiments(truth, duration=10.0, repeats=1)

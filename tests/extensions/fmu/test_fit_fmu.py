@@ -156,7 +156,9 @@ def actuator_record(seed=0, rows=600):
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("factors", [(2, 0.8, 1.2), (0.5, 1.2, 0.8), (3, 0.6, 1.4)])
+@pytest.mark.parametrize(
+    "factors", [(2, 0.8, 1.2), *(pytest.param(f, marks=pytest.mark.slow) for f in ((0.5, 1.2, 0.8), (3, 0.6, 1.4)))]
+)
 def test_our_own_export_gives_its_constants_back_in_fifty_simulations(exported, factors):
     plant, true = read_fmu(exported), micro_actuator.values
     start = {name: factor * true[name] for name, factor in zip("BKM", factors, strict=True)}
