@@ -54,7 +54,7 @@ def test_a_force_that_repeats_with_the_position_has_its_period():
     assert DiscoveryCode.MEASURE_MORE not in codes  # enough is known without other sensors
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_stop_has_the_position_where_it_begins():
     _, _, surrogate, _ = fit_surrogate(
         micro_actuator, {"end_stop": {"gap": 4e-5, "kc": 6000.0}}, {"x": 2e-7, "i": 5e-3}, rows=600

@@ -25,8 +25,14 @@ def search(model, record, rows):
 
 @pytest.mark.parametrize(
     ("made", "name", "value", "rows"),
-    [({"gain": 9.80665}, "input_gain", 1 / 9.80665 - 1, 300), ({"skew": 0.04}, "clock_skew", 0.04, 180)],
-    ids=["kilogram-force read as newton", "a clock that is 4 % slow"],
+    [
+        pytest.param(
+            *({"gain": 9.80665}, "input_gain", 1 / 9.80665 - 1, 300),
+            marks=pytest.mark.slow,
+            id="kilogram-force read as newton",
+        ),
+        pytest.param({"skew": 0.04}, "clock_skew", 0.04, 180, id="a clock that is 4 % slow"),
+    ],
 )
 def test_the_lie_of_an_instrument_is_named(made, name, value, rows):
     found = search(KNOWN, swung(**made), rows)
@@ -65,6 +71,7 @@ def test_either_end_of_the_range_of_a_sensor_is_named(side):
     assert abs(found.extended.model.values["y_max"] - end) < 0.01
 
 
+@pytest.mark.slow
 def test_weighed_constants_that_take_a_gain_are_said_where_nothing_is_established():
     """A weight of one per cent gives way to a record: the model follows it, and the answer says at what price."""
     found = search(WITH_FRICTION, swung(gain=1.15), rows=300)

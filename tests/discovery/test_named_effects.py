@@ -90,7 +90,7 @@ CASES = [
         slow=True,
     ),
     case(micro_actuator, {"eddy_current": {"Re": 30.0}}, WELL, ("transport_delay", "sensor_lag"), slow=True),
-    case(micro_actuator, {"constant_load": {"F0": 0.05}}, WELL, ("input_offset", "sensor_drift")),
+    case(micro_actuator, {"constant_load": {"F0": 0.05}}, WELL, ("input_offset", "sensor_drift"), slow=True),
     case(
         micro_actuator,
         {"input_saturation": {"u_max": 2.2}},
@@ -119,7 +119,7 @@ CASES = [
         slow=True,
     ),
     case(pneumatic_cylinder, {"valve_dead_zone": {"d": 0.2}}, AIR, ("coulomb_friction", "input_saturation"), slow=True),
-    case(pneumatic_cylinder, {"backlash": {"gap": 2e-3}}, AIR, ("coulomb_friction", "sensor_lag")),
+    case(pneumatic_cylinder, {"backlash": {"gap": 2e-3}}, AIR, ("coulomb_friction", "sensor_lag"), slow=True),
     # Between the pitches of the grid each refit is lost: the residual shows the pitch.
     case(
         micro_actuator,

@@ -67,7 +67,11 @@ def test_dry_friction_of_a_free_swing_is_found_from_its_neutral_value(record):
 
 @pytest.mark.rest
 @pytest.mark.parametrize(
-    "name", ["coulomb_friction", "quadratic_damping", "sensor_lag", "cubic_stiffness", "second_mode"]
+    "name",
+    [
+        *("coulomb_friction", "quadratic_damping", "sensor_lag", "cubic_stiffness"),
+        pytest.param("second_mode", marks=pytest.mark.slow),
+    ],
 )
 def test_a_model_with_an_effect_more_is_never_worse(name, record, plain):
     larger = gb.fit(swing() + gb.effect(name), record)

@@ -257,8 +257,8 @@ def test_a_step_does_not_tell_friction_from_back_emf_and_gives_neither_a_value(v
     assert any(s["parts"] == ["experiment:'ramp'", "experiment:'step'"] for s in shifts)
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize("rho", [pytest.param(0.0, marks=pytest.mark.slow), 0.9])
+@pytest.mark.slow
+@pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_constant_constants_raise_no_alarm(rho):
     fits = [fit(TRUTH, actuator_record(seed, rho)) for seed in range(60)]
     alarms = [EstimationCode.PARAMETER_NOT_CONSTANT in codes(found.findings) for found in fits]

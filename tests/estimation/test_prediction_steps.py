@@ -72,7 +72,8 @@ def test_a_prediction_of_a_stiff_model_is_its_free_run(model):
 
 
 @pytest.mark.parametrize(
-    ("model", "state"), [pytest.param(VALVE, "s", marks=pytest.mark.slow), (QUENCH, "y"), (PAIR, "y")]
+    ("model", "state"),
+    [*(pytest.param(*m, marks=pytest.mark.slow) for m in ((VALVE, "s"), (QUENCH, "y"))), (PAIR, "y")],
 )
 def test_a_filter_takes_steps_that_can_be_written_out(model, state):
     exact = solve_held(model)

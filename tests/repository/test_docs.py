@@ -16,24 +16,25 @@ import greybox.model.effects
 from tests.support.documented import ROOT, blocks, commands, missing, run_page, same
 
 DOCS = ROOT / "docs"
-# Pages that are run here, quickly: without the parts marked slow. The others are run by the slow tests.
+# Pages that are run here, quickly: without the parts marked slow. The others are run by the slow tests: what they type is run by a
+# test of its command as well.
 QUICK = (
     "tools.md",
     "equations.md",
     "own_model.md",
     "own_effect.md",
-    "study_files.md",
-    "design.md",
     "changed.md",
     "fleet.md",
-    "robots.md",
     "laws.md",
     "extensions.md",
     "records.md",
 )
 STUDIES = sorted(path.stem for path in (DOCS / "gallery").glob("*.md"))
 QUICK_STUDIES = ("first_order_steps", "pendulum_constants", "worn_bearing")
-TUTORIALS = ("tutorial_micro_actuator.md", "tutorial_pneumatic.md", *QUICK)
+TUTORIALS = (
+    *("tutorial_micro_actuator.md", "tutorial_pneumatic.md", "study_files.md", "design.md", "robots.md"),
+    *QUICK,
+)
 
 
 @pytest.fixture(scope="module")
