@@ -31,6 +31,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # looks whether the file is open. The programs that tests start, and kill, wait.
 os.fsync = os.fstat  # type: ignore[assignment]
 
+# A worker of the run has one core to itself. What asks for their number would start processes beside those of the other worker, each of
+# which imports for a second what it needs; tests of processes say how many they want.
+if "PYTEST_XDIST_WORKER" in os.environ and hasattr(os, "sched_getaffinity"):
+    os.sched_getaffinity = lambda pid: {0}
+
 # The same examples in every run; HYPOTHESIS_PROFILE=default searches at random and for longer.
 settings.register_profile("ci", derandomize=True, max_examples=25, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))

@@ -58,6 +58,7 @@ def compared():
     return gb.compare({m.name: m.model for m in models}, other, training=record), rival, findings, spread
 
 
+@pytest.mark.slow
 def test_a_state_space_model_of_all_outputs_is_a_rival_with_the_order_of_the_plant(compared):
     comparison, rival, findings, spread = compared
     assert [box.output for box in rival.model] == ["y1", "y2"]
@@ -70,7 +71,7 @@ def test_a_state_space_model_of_all_outputs_is_a_rival_with_the_order_of_the_pla
         assert comparison["subspace"].validation[name].rmse < 0.5 * comparison["arx"].validation[name].rmse
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_its_entry_is_in_the_file(compared, tmp_path):
     data = json.loads(save_comparison(compared[0], tmp_path / "compare.json").read_text())
     assert strict_offences(data, Comparison) == []

@@ -65,7 +65,13 @@ def test_effects_are_measured_on_the_run_that_was_fitted(balanced: gb.Experiment
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("options", [FitOptions(arc_length=0.4), FitOptions()], ids=["arcs", "automatic"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param(FitOptions(arc_length=0.4), id="arcs"),
+        pytest.param(FitOptions(), marks=pytest.mark.slow, id="automatic"),
+    ],
+)
 def test_cogging_of_a_pendulum_on_its_tip_is_found(balanced: gb.Experiment, options: FitOptions) -> None:
     found = gb.fit(pendulum() + gb.effect("cogging"), balanced, noise={"q": NOISE}, options=options)
     assert found.solver.statistics["transcription"] == ("arcs" if options.arc_length else "multiple")
