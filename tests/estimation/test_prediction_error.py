@@ -69,6 +69,7 @@ def test_the_most_likely_constants_are_those_of_statsmodels():
     spread = np.sqrt(np.diag(np.linalg.inv(curvature))) * scale
     for k, n in enumerate(names):
         assert found.parameters[n].std / found.parameters[n].value == pytest.approx(spread[k], rel=0.02)
+    assert found.uncertainty.kind == "observed_information"
 
 
 def test_states_and_bands_are_those_of_statsmodels_smoother():

@@ -9,9 +9,15 @@ from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.data.noise.noise_sources import estimate_noise
 from greybox.data.noise.repeats import estimate_resolution, estimate_written_step
-from greybox.data.noise.spectrum import leftover_spectrum, spectral_level
+from greybox.data.noise.spectrum import LeftoverSpectrum, _join_bands, leftover_spectrum, spectral_level
 
 ROWS = 2500
+
+
+def test_bands_that_are_joined_count_by_their_degrees_of_freedom():
+    two = LeftoverSpectrum(*(np.array(pair) for pair in ([1.0, 2.0], [4.0, 8.0], [1.0, 3.0], [0.0, 4.0])))
+    one = _join_bands(two, 1)
+    assert (one.frequency, one.power, one.freedom, one.measured) == (1.75, 7.0, 4.0, 3.0)
 
 
 def multisine(rng, top):

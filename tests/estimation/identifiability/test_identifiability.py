@@ -18,6 +18,7 @@ from greybox.estimation.identifiability.practical import (
     recommend_after_fit,
 )
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode as Code
+from greybox.estimation.identifiability.sensitivity import fastest_and_slowest_rate
 from greybox.estimation.identifiability.structural import IdentifiabilityVerdict as Verdict
 from greybox.estimation.identifiability.structural import analyse_structural_identifiability
 from greybox.simulation.simulate import simulate
@@ -41,6 +42,25 @@ def tied(model: Model) -> Model:
 
     parameters = [q for q in model.parameters if q.name != "Kv"]
     return replace(model, parameters=parameters, balances=balances, outputs=[Output("x", "m"), Output("i", "A")])
+
+
+def two_modes(damping):
+    """Oscillators of 1 and 10 rad/s, or lags at these rates."""
+
+    def balances(x, u, p):
+        if damping:
+            return [Balance(n, "1/s", 1, n, decay=-p[f"w{n}"] * x[n]) for n in "ab"]
+        pairs = [(n, other, sign) for n, other, sign in (("a", "c", 1), ("c", "a", -1), ("b", "d", 1), ("d", "b", -1))]
+        return [Balance(n, "1/s", 1, n, turn=sign * p["wa" if n in "ac" else "wb"] * x[o]) for n, o, sign in pairs]
+
+    names = "ab" if damping else "acbd"
+    rates = [Parameter("wa", "1/s", 1.0), Parameter("wb", "1/s", 10.0)]
+    return Model("modes", [State(n, "1") for n in names], [], [Output(n, "1") for n in names], rates, balances)
+
+
+@pytest.mark.parametrize("damping", [True, False], ids=["lags", "oscillators"])
+def test_the_slowest_motion_is_the_one_that_takes_longest(damping):
+    assert fastest_and_slowest_rate(two_modes(damping)) == pytest.approx((10.0, 1.0))
 
 
 @pytest.mark.parametrize(

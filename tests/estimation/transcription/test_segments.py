@@ -4,11 +4,21 @@ import numpy as np
 import pytest
 
 from greybox.base.errors import DataError
+from greybox.data.experiment import Experiment
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.estimation.transcription.segments import SegmentedProblem, cut_in_rows, cut_in_seconds, split_into_arcs
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
+
+
+def test_one_arc_with_too_few_rows_among_long_ones_is_refused():
+    whole = linear_record(micro_actuator, multisine(np.random.default_rng(1), 90, 2.5e-4, 5, 800, 3.0), 2.5e-4)
+    kept = np.r_[0:30, 58:90]
+    signals = [{n: v[kept] for n, v in group.items()} for group in (whole.inputs, whole.outputs)]
+    torn = Experiment.from_arrays(whole.time[kept], *signals, name="torn")
+    with pytest.raises(DataError, match=r"one of 0\.0075 s has 2 rows"):
+        split_into_arcs(torn, seconds=30 * 2.5e-4)
 
 
 def test_arcs_cover_every_row_once_and_refuse_lengths_that_are_none():
