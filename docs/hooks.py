@@ -251,18 +251,22 @@ def commands() -> str:
 
 
 def study_fields() -> str:
-    """By the commands that use them: each place in a study file with the option that does the same."""
+    """By table of a study file: the name of each place, with its option where that is spelt otherwise."""
     from greybox.shell.commands import COMMANDS
-    from greybox.shell.study_file import study_commands, users_of
+    from greybox.shell.study_file import study_commands
 
-    readers = study_commands(COMMANDS)
-    options = {option.place: option for command in readers.values() for option in command.in_study().values()}
-    places: dict[tuple[str, ...], list[str]] = {}
-    for option in options.values():
-        place = f"`{option.label}`" if option.key else f"`[{option.table}]`"
-        typed = f"`{option.flag}`" if option.flags else option.usage
-        places.setdefault(tuple(users_of(option, COMMANDS)), []).append(f"{place} {typed}")
-    return "\n".join(f"- *{', '.join(users)}*: {', '.join(named)}" for users, named in places.items())
+    tables: dict[str, dict[str, str]] = {"At the top": {}}
+    of_names: dict[str, str] = {}  # tables with a line for each name
+    for command in study_commands(COMMANDS).values():
+        for option in command.in_study().values():
+            key, typed = option.key or option.table, option.flag if option.flags else option.usage
+            spelt = f"--{key.replace('_', '-')}"
+            place = f"`{key}`" if option.key else f"`[{key}]`"
+            title = f"`[{option.table}]`" if option.table else "At the top"
+            within = tables.setdefault(title, {}) if option.key else of_names
+            within.setdefault(key, place if typed == spelt else f"{place} (`{typed}`)")
+    of_tables = [f"- {title}: {', '.join(places.values())}" for title, places in tables.items()]
+    return "\n".join([*of_tables, f"- A line for each name: {', '.join(of_names.values())}"])
 
 
 def result_files() -> str:
