@@ -18,6 +18,7 @@ from greybox.discovery.candidates import family_of
 from greybox.discovery.claims import LEAST_SHARE, Weights
 from greybox.discovery.decision import Grade
 from greybox.discovery.findings import DiscoveryCode
+from greybox.discovery.laws.terms import claimed_name
 from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.residual_noise import is_shape_correction
 from greybox.discovery.table import NEAR_RATIO, Draws, draw_sets
@@ -148,9 +149,9 @@ class _Order:
             for k, c in enumerate(sets)
             if c.effects and not c.laws and c.names not in self.refused and not any(map(is_shape_correction, c.effects))
         ]
-        # What the records say with more than even odds stays; what takes hardly anything is no answer to what is missing.
-        kept = {name for name, grade in self.grades.items() if grade is not Grade.STAND_IN}
-        named = [k for k in named if kept & set(self.answer.names) <= set(sets[k].names) and shares[k] >= LEAST_SHARE]
+        # What takes hardly anything is no answer to what is missing.
+        kept = self._kept
+        named = [k for k in named if kept <= set(sets[k].names) and shares[k] >= LEAST_SHARE]
         good, best = self.draws.good.mean(axis=0), max((shares[k] for k in named), default=0.0)
         winner = next((k for k in named if sets[k].names == self.answer.names), None)
 
@@ -164,6 +165,18 @@ class _Order:
             return self.is_open and is_simple and bool(is_near)
 
         return [k for k in named if does_equally_well(k)]
+
+    @property
+    def _kept(self) -> set[str]:
+        """Names that stay: those with more than even odds by the records, but what is only probable and rare with a part that was told."""
+        told = read_parts(self.plain).told
+        effects = {claimed_name(e): e for e in self.answer.model.effects}
+        grades = {name: self.grades.get(name, Grade.STAND_IN) for name in self.answer.names}
+        return {
+            name
+            for name, grade in grades.items()
+            if grade is Grade.ESTABLISHED or (grade is Grade.PROBABLE and not told.make_rare(effects[name]))
+        }
 
     def choose(self, equal: Sequence[int], parts: RigParts) -> int | None:
         """Of the most usual sets the one that wins most often among themselves; None where the rig can have none of them."""

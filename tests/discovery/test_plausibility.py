@@ -163,6 +163,21 @@ def test_what_is_probable_gives_no_place_to_what_is_more_usual():
         assert found.candidate.effects == (expected,)
 
 
+@pytest.mark.parametrize(
+    ("has", "grade", "expected"),
+    [
+        (("free", "fluid"), "probable", "quadratic_damping"),
+        (("free", "fluid"), "established", "viscous_damping"),
+        # That nothing holds the body follows from the model; nobody has said it.
+        (("fluid",), "probable", "viscous_damping"),
+    ],
+)
+def test_what_is_only_probable_gives_way_where_somebody_told_of_a_part_that_makes_it_rare(has, grade, expected):
+    plain = falling_ball().with_parts(has=has)
+    draws = table(plain, viscous_damping=0.90, quadratic_damping=0.89)
+    assert prefer(plain, draws, "viscous_damping", viscous_damping=grade).candidate.effects == (expected,)
+
+
 def test_what_is_probable_is_not_left_out_for_taking_little():
     plain = rotor().with_parts(has=["contact"])
     draws = table(plain, coulomb_friction__reading_curve=0.91, coulomb_friction=0.88)

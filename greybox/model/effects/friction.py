@@ -187,6 +187,8 @@ viscous_damping = Effect(
     source="shear in a film of lubricant, force proportional to the speed (Newton)",
     probe=lambda s: {"B1": s.visible_force / s.velocity},
     occurs=Occurrence.COMMON,
+    # Nothing shears a film there, and a flow past a body that can be filmed is turbulent.
+    occurs_with={"free": Occurrence.RARE},
 )
 
 quadratic_damping = Effect(
