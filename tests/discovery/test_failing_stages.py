@@ -96,7 +96,7 @@ FRICTION = {"coulomb_friction": {"Fc": 0.05}}
         pytest.param(NOISE, {}, id="nothing else is missing-noise told"),
         pytest.param(None, {}, id="nothing else is missing-noise untold"),
         pytest.param(NOISE, FRICTION, id="another effect is-noise told", marks=pytest.mark.slow),
-        pytest.param(None, FRICTION, id="another effect is-noise untold"),
+        pytest.param(None, FRICTION, id="another effect is-noise untold", marks=pytest.mark.slow),
     ],
 )
 def test_an_effect_that_the_model_holds_already_is_no_find_of_the_search(noise, more):

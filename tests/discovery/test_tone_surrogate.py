@@ -87,6 +87,7 @@ def test_the_model_with_the_tone_is_fitted_to_records_at_rest_from_its_file(foun
     assert (begin["x"], begin["v"]) == (0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_a_tone_is_found_at_rest_too_and_not_where_there_is_none(rig):
     # At rest the way the tone sets in shows its site.
     model = plain_model(micro_actuator)

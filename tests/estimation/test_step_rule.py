@@ -25,7 +25,10 @@ EVERYDAY = ("hardening, few rows", "two wells, few rows")
 # new: the rule looks at the constants and the step with which a search has ended.
 WAYS = [("single", 0), ("multiple", 1), ("single", 1), ("multiple", 0)]
 CASES = [
-    pytest.param(name, way, method, substeps, marks=() if name in EVERYDAY and way == "single" else pytest.mark.rest)
+    pytest.param(
+        *(name, way, method, substeps),
+        marks=() if name in EVERYDAY and way == "single" else pytest.mark.slow if name == "HIRES" else pytest.mark.rest,
+    )
     for i, name in enumerate(PLANTS)
     for j, method in enumerate(METHODS)
     for way, substeps in [WAYS[(i + j) % len(WAYS)]]

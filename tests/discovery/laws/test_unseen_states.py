@@ -58,7 +58,7 @@ def test_nothing_is_looked_for_in_a_definition():
     assert ("position", "1/s") in list_law_sites(double_well("x", rate=2.0))
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_law_in_a_position_that_no_sensor_reads():
     answer = gb.discover(
         double_well("v"),

@@ -127,7 +127,7 @@ def test_a_missing_lag_is_no_answer_to_the_same_row():
     assert by_kind[Kind.INPUT_INDEPENDENCE].alarm and not by_kind[Kind.SAME_ROW].alarm
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_false_alarms_on_white_noise_are_one_in_a_hundred():
     rng = np.random.default_rng(5)
     alarms = {}
