@@ -372,26 +372,24 @@ def keep(markdown: str) -> str:
 CATALOGUE_HEAD = """# Catalogue of effects
 
 These effects are tried by `greybox discover` and added to a model by `--effect NAME` or `model + gb.effect("NAME")`. `greybox effects
-MODEL` lists those that find a place in a model. Where a model has several sites (bodies, inputs, outputs), the name alone means the
+MODEL` lists those that find a place in a model. Where there are several (bodies, inputs, outputs), the name alone means the
 first, and `NAME_at_SITE` another one. If yours is missing, write [your own](own_effect.md).
 
 In equations `x` and `v` are displacement and velocity of a body, `u` is the input and `y` the output at the site; `{force}` is the unit
 of the model's balance. Behind each equation stand the [parts](#parts-of-a-rig-and-what-is-usual) that a rig must have and how usual the
-effect is; below, the experiment that tells it from its rivals, and the source.
+effect is; below, the experiment that tells it from its rivals.
 """
 
 PARTS_HEAD = """
 ## Parts of a rig, and what is usual
 
-Say what the rig has: `Model(..., has=("gear", "fluid"), lacks=("spring",))`, in a study file `has` and `lacks`, on the command line
-`--has gear --lacks spring`. Effects whose parts the rig lacks are not tried; what nobody has said is possible. Some follows from the
-model: without an input there is no motor. A model that lists its `candidates` has said what may hide; only parts that it is told to
-lack leave one of them out.
+Say what the rig has: `Model(..., has=("gear", "fluid"), lacks=("spring",))`, or `--has gear --lacks spring`. Effects whose parts the rig
+lacks are not tried; what nobody has said is possible. Some follows from the model: without an input there is no motor. Of the
+`candidates` that a model lists only parts that it is told to lack leave one out.
 
-The classes ({classes}) are a judgement on the counts of 109
-published, shipped or fitted models of rigs, good to a factor of two: which share of the rigs with the part lacks the effect in its
-plain model. They [order](how_it_works.md#which-effect-is-missing) what does equally well on the records. An effect
-of your own counts as common.
+The classes ({classes}), the share of the rigs with the part that lack the effect in their plain model, are a judgement on 109
+published, shipped or fitted models, good to a factor of two. They [order](how_it_works.md#which-effect-is-missing) what does equally
+well on the records. An effect of your own counts as common.
 
 """
 
@@ -406,14 +404,13 @@ Input("Ta", "K", role="ambient_temperature")
 Parameter("Ra", "ohm", 8.0, role="resistance")
 ```
 
-Most of it goes without, by the units, as the table says.
-`greybox check MODEL` shows the role of each signal, the effects that find a place, and what would open the others; `greybox effects
-MODEL` lists the same effect by effect. Several signals may have one role: each body has its own velocity, each tank its own level. Where
-an effect asks for a role and its site does not tell which is meant, it is the first.
+Many follow from the units, as the table says. `greybox check MODEL` shows the role of each signal, the effects that find a place, and
+what would open the others; `greybox effects MODEL` lists the same effect by effect. Several signals may have one role: each body has
+its own velocity, each tank its own level. Where the site of an effect does not tell which is meant, it is the first.
 """
 
-ROLES_TAIL = """Beside these, the effects at `pressure_a` and `upper_level` look for balances of these names, as the [pneumatic
-chain](tutorial_pneumatic.md) and the cascaded tanks have them. What an effect needs stands with it in the [catalogue](catalogue.md).
+ROLES_TAIL = """The effects at `pressure_a` and `upper_level` look for balances of these names. What an effect needs stands with it in the
+[catalogue](catalogue.md).
 
 ## Plants to start from
 

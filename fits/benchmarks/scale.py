@@ -299,14 +299,9 @@ def write_page(found: Mapping[str, Any]) -> str:
         "compilers, s": lambda v: f"{v['compilers']:.1f}",
         "MB": lambda v: f"{v['megabytes']:.0f}",
     }
-    pass_columns: Mapping[str, Callable[[Numbers], str]] = {
-        "simulation, ms": lambda v: f"{v['simulation']:.2f}",
-        "pass, ms": lambda v: f"{v['pass']:.2f}",
-    }
     tables = {
         "FITS": by_size("fits", "states", lambda n: 2 * n, fit_columns),
-        "PASSES": by_size("passes", "states", lambda n: 2 * n, pass_columns),
-        "CONSTANTS": by_size("constants", "directions", lambda n: n, {"pass, ms": pass_columns["pass, ms"]}),
+        "CONSTANTS": by_size("constants", "directions", lambda n: n, {"pass, ms": lambda v: f"{v['pass']:.2f}"}),
         "ROWS": by_size("rows", "rows", lambda n: n, fit_columns),
         "PEERS": table(
             ["states", *(f"{name}, ms" for name in found["peers"]["passes"])],

@@ -42,8 +42,8 @@ SETTING = Setting(
 )
 WORDS = """A coil on a compliant mechanism that rings with 3 % of damping. The hidden friction of 0.05 N holds it anywhere within 8 µm.
 
-Every design gets there in the end; the integral of those that do not know the friction
-needs twice the time. The black box is as good as the uncompensated grey-box ones: the compensation makes the difference."""
+The integral of the designs that do not compensate the friction needs twice the time. The black box is as good as the uncompensated
+grey-box ones."""
 
 
 def verdict(results: Study) -> None:

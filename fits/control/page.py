@@ -16,13 +16,12 @@ TITLE = f"""# What the constants are for: controllers
 A controller that knows the friction which `greybox discover` has named settles twice as fast on the actuator, and stops the hunting of
 the cylinder.
 
-Each rig below has dry friction that its model does not have. From two of its records come a fit of the plain model, one with the named
-effect, and the best black box. One rule makes a controller of each from the position alone (`fits/control/design.py`: linear-quadratic
-with an integral, and a Kalman observer). The compensated one adds a force against the friction, in the direction of the wanted motion,
-and an observer that sticks where the body sticks. Each runs on the rig itself, integrated by a method of its own
-(`fits/studies/rig_twins.py`), and on {FAMILY} rigs drawn from what the records leave open (`export.sample_family`): **generated, not
-measured**. A dash: it never stays within the band, or there is no margin. Margins are those of the linear loop on the linear rig;
-"distance from -1" is the least of the loop's Nyquist curve. Written by `python -m fits.control.page`, which asserts the verdicts.
+Two records of a rig with dry friction give a fit of the plain model, one with the named effect, and the best black box. One rule makes a
+controller of each from the position alone (`fits/control/design.py`: linear-quadratic with an integral, and a Kalman observer). The
+compensated one adds a force against the friction, in the direction of the wanted motion, and an observer that sticks where the body
+sticks. Each runs on the rig (`fits/studies/rig_twins.py`; **generated, not measured**) and on {FAMILY} rigs drawn from what the records
+leave open (`export.sample_family`). A dash: it never stays within the band, or there is no margin. Margins and the least distance of the
+Nyquist curve from -1 are those of the linear loop on the linear rig. Written by `python -m fits.control.page`, which asserts the verdicts.
 """
 
 

@@ -45,9 +45,8 @@ SETTING = Setting(
 WORDS = """A piston between two gas springs that a valve fills and vents. The hidden friction of the seals is 25 N sliding and 35 N at
 standstill, which takes 30 kPa to overcome.
 
-Friction that falls once the piston slides makes every uncompensated design hunt. The designs from the black box and from the plain model
-have hardly any margin besides, or none: the friction in the record passes for damping. With the effect in the fit the margins are right;
-it takes the compensation to stop the hunting."""
+Friction that falls once the piston slides makes every uncompensated design hunt. The black box and the plain model give hardly any
+margin besides, or none: the friction in the record passes for damping. With the effect in the fit the margins are right."""
 
 
 def verdict(results: Study) -> None:

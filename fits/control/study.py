@@ -84,12 +84,11 @@ class Setting:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """A design over the family: ``verdicts`` on its nonlinear members and their ``positions`` (members, N), least ``distance``
-    from -1 among them and ``worst`` over the whole confidence set (negative: unstable)."""
+    """A design over the family: ``verdicts`` on its nonlinear members and their ``positions`` (members, N), and the ``worst`` distance
+    from -1 over the whole confidence set (negative: unstable)."""
 
     verdicts: tuple[Verdict, ...]
     positions: np.ndarray
-    distance: float
     worst: float
 
 
@@ -191,7 +190,6 @@ def spread_of(setting: Setting, best: gb.Fit, designs: Mapping[str, Design]) -> 
         spread[name] = Spread(
             tuple(judged(run, setting.moves) for run in runs),
             np.array([run.position for run in runs]),
-            min(near(member) for member in family.members),
             -family.worst(lambda member, near=near: -near(member), LEVEL).value,
         )
     return spread

@@ -18,7 +18,6 @@ MEASURES = (
     "gain margin",
     "phase margin",
     "distance from -1",
-    "distance, least of the family",
     f"distance, worst of the {100 * LEVEL:.0f} % set",
 )
 ORDER = (BLACK, PLAIN, KNOWING, COMPENSATED)
@@ -40,7 +39,6 @@ def rows_of(results: Study) -> list[list[str]]:
                 f"{m.gain:.2f}" if m.stable else "-",
                 f"{m.phase:.0f}°" if m.stable else "-",
                 distance(m.distance if m.stable else -1.0),
-                distance(spread.distance),
                 distance(spread.worst),
             ]
         )

@@ -37,9 +37,7 @@ def write(s: Study, folder: Path) -> None:
         f"Nine records of 100 s every 10 ms, generated with seeds from {SEED} on, not measured. Position is the sensor's voltage at an"
         " assumed 0.05 m/V; the drift of each record was chosen so that the misfits of (2,2) at nk = 0 have the"
         " printed size, the opening of the valve so that the variances of position have.",
-        "### Table 10.2, inputs",
-        _table_10_2(s),
-        "With the amplitudes that belong to this table (errata 2.8); exact to the printed digit.",
+        "Table 10.2 (statistics of the inputs) is computed to the printed digit, with the amplitudes that belong to it (errata 2.8).",
         "### Variance of position",
         _variances(s),
         "The printed variance is `MSE / (1 - BF / 100)^2`, the same for all nine within rounding; so the tables below go without MSE.",
@@ -64,15 +62,6 @@ def write(s: Study, folder: Path) -> None:
     ]
     write_section(folder, "2", "\n\n".join(text))
     draw(s, folder)
-
-
-def _table_10_2(s: Study) -> str:
-    head = ["printed / computed", "mean, V", "maximum, V", "minimum, V", "variance, V^2"]
-    rows = [
-        [name, *(beside(p, o, 5) for p, o in zip(row, s.inputs[name], strict=True))]
-        for name, row in printed.TABLE_10_2.items()
-    ]
-    return markdown(head, rows)
 
 
 def _variances(s: Study) -> str:

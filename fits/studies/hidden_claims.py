@@ -162,8 +162,8 @@ def write_claims(rows: Sequence[Row], docs: Path) -> None:
         "## How certain is an established claim?",
         f"The probability of each claim, held against the truth on {len(rows)} cases"
         f" ({rows[0]['name']} to {rows[-1]['name']}, {sum(len(r['answers']) for r in rows)} answers, {without} of them without the truth,"
-        f" on {len(plants)} plants): the map from weight to probability was fitted to another draw."
-        f" A claim is established from a probability of {ESTABLISHED_FROM:g} on.",
+        f" on {len(plants)} plants); the map from weight to probability was fitted to another draw."
+        f" A claim is established from {ESTABLISHED_FROM:g} on.",
         _depth_table(rows),
         "By stated probability, the share that is right and of how many claims:",
         _reliability_table(rows),

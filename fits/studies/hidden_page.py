@@ -73,14 +73,14 @@ def write(rows: Sequence[Row], docs: Path, length: int) -> None:
         f"{len(rows)} cases, drawn at random: {rigs} on the two rigs (`fits/studies/hidden_cases.py`), the others on six everyday plants"
         " (`fits/studies/plant_cases.py`), simulated by programs that share no code with greybox;"
         f" mostly {length} samples for learning, {length} for judging. `greybox.discover` sees what a user has: records, some known"
-        " constants, start values up to 40 % off, and in about half of the cases the noise. Each case is answered a second time with the"
-        f" truth taken away. A share is known to about {100 / max(len(rows), 1) ** 0.5:.0f} percentage points. The sparse regression can"
+        " constants, start values up to 40 % off, and in about half of the cases the noise."
+        f" A share is known to about {100 / max(len(rows), 1) ** 0.5:.0f} percentage points. The sparse regression can"
         " only name seven effects (`fits/studies/hidden_baselines.py`). Written by `python -m fits.studies.hidden_study FOLDER --page`.",
         _scores(rows),
         "## With the truth taken away",
-        "The true effect and its family are no candidates. An answer is wrong if it is `named`, or an effect is"
-        " `established` and not there. Place: the true site is among those that the answer gives. Shape: the"
-        " variable that the true effect depends on is the one that the answer gives.",
+        "Each case again, without the true effect and its family among the candidates. An answer is wrong if it is `named`, or an"
+        " effect is `established` and not there. Place: the answer gives the true site, among others perhaps. Shape: it gives the"
+        " variable that the true effect depends on.",
         _left_out_scores(rows),
         "## By plant",
         _by_plant(rows),

@@ -354,11 +354,11 @@ HEAD = """# Certainty on measured records
 How often what `greybox discover` calls certain is true on measured records of {rigs} public rigs, nothing told but the plain model:
 {searches} of {planned} searches, each with one record to learn from, one to choose by and a third to be judged on.{note} Written by
 `python -m fits.studies.measured_certainty FOLDER --page docs/studies/measured_certainty.md`; `fits.studies.measured_rigs` says whose the
-records are and what is known of each rig. All rigs have been looked at while the method was built: this is no blind test. [What these
-records taught](../measured_lessons.md).
+records are and what is known of each rig. All rigs were looked at while the method was built: this is no blind test. [What these records
+taught](../measured_lessons.md).
 
-- Known by construction, weighing or publication: balls, rotor (braked at known times, or healthy),
-  pendulum, heaters, damper. Of the others nobody knows all: what is claimed beside the known facts is *not known*.
+- Known by construction, weighing or publication: balls, rotor (braked at known times, or healthy), pendulum, heaters, damper. What is
+  claimed of the others beside the known facts is *not known*.
 - On a heavy ball and on the healthy rotor every claim counts as wrong, though the scale of the video does bend.
 - *Right* is a place where something known acts; a variable on which it depends there; a family with a right name in it; a right name.
 - In a round trip the model that is handed over is written, read back, fitted to the same records, and run in C.

@@ -525,10 +525,8 @@ the data are runs of an independent solver (Radau of SciPy) at these constants w
 `gb.fit(model, record, noise=..., options=gb.FitOptions(at_rest=True))`.
 
 - *Reached*: the sum of squares of the constants, by the independent solver, is not above that of the published ones.
-- *From the published constants*: does the fit hold them? *Three times off*: every constant, up and down in turn.
-- *Random starts*: each constant between a tenth and ten times its value, up to {random} of them until one reaches the optimum.
-- *Seconds*: CPU time of the longest of these fits. *Missed*: how the others ended, and their sum of squares over that of the published
-  constants.
+- *Three times off*: every constant, up and down in turn. *Random starts*: as above, up to {random} of them until one reaches the optimum.
+- *Seconds*: CPU time of the longest of these fits. *Missed*: as above.
 
 ### Networks: {networks}
 

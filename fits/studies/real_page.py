@@ -14,8 +14,7 @@ PAGE = "real_data.md"
 TITLE = """# What is missing, on measured records
 
 What `greybox discover` says of three public benchmarks (nonlinearbenchmark.org), each begun from the plain model with nothing told, and
-how far each model is off. No model is complete on any of them: what is left stays above the sensors' noise ([what measured records taught
-us](../measured_lessons.md)).
+how far each model is off. No model is complete on any of them ([what measured records taught us](../measured_lessons.md)).
 
 Written by `python -m fits.studies.real_data FOLDER`, with the folders `silverbox`, `emps` and `cascaded_tanks` below FOLDER; the records
 are not part of this project. Constants and effects come from the training record alone, part of which is kept back to choose by. All
