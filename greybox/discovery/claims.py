@@ -85,6 +85,8 @@ class Claim(ReadOnly):
         Of a name: effects that neither contain it nor are contained that do the same in its place. No record of this kind separates them.
     has_twin
         Whether one of these does it with no more constants: neither is certain. A richer one is no objection to a simple one.
+    is_matched
+        Whether a set of which it is not true does as well, as often as not, where whatever was tried may leave more than noise.
     joint
         Of a name: how probable it is that it or one of its equals is right.
     size
@@ -107,6 +109,7 @@ class Claim(ReadOnly):
     rival: str = ""
     equals: tuple[str, ...] = ()
     has_twin: bool = False
+    is_matched: bool = False
     joint: float = 0.0
     size: float = 0.0
     frequency: float = 0.0
@@ -268,6 +271,7 @@ def weigh_claims(
     given: Collection[str],
     left: float,
     answer: Collection[str] = (),
+    is_open: bool = False,
 ) -> tuple[Claim, ...]:
     """The tree of claims, depth by depth, most frequent first; empty where no set could be run.
 
@@ -283,6 +287,9 @@ def weigh_claims(
         Share of the rms error that is no noise of the set that won most often (`measure_structure`).
     answer
         Names of the effects of the answer: each is claimed, however seldom it wins.
+    is_open
+        Whether more than noise may be left whatever is tried. What is there has more effects than the set that wins then, and the fewest
+        are no ground for certainty.
     """
     if not draws.sets:
         return ()
@@ -291,7 +298,7 @@ def weigh_claims(
     groups = {label: tuple(group) for group in alike_sites for label in group}
     leading = draws.sets[weights.leading]
     names = [o.name for o in leading.candidate.model.outputs]
-    context = _Context(draws, weights, forms, groups, names, left)
+    context = _Context(draws, weights, forms, groups, names, left, is_open)
     missing = context.claim(Depth.MISSING, ())
     claims = [missing] if missing is not None and missing.frequency else []
     for depth, key in KEYS.items():
@@ -358,7 +365,7 @@ class Grounds:
         """Whether something else than its probability keeps a claim from being established."""
         if self.is_cut or not self.is_settled:
             return True
-        if self.is_contradicted and claim.depth is not Depth.MISSING:
+        if claim.is_matched or (self.is_contradicted and claim.depth is not Depth.MISSING):
             return True
         # A signal over time has no variables, no family and no name; where it acts it has as well.
         if claim.depth >= Depth.VARIABLES and set(self.nonsense) & set(claim.sites):
@@ -428,6 +435,7 @@ class _Context:
     groups: Mapping[str, tuple[str, ...]]
     outputs: Sequence[str]
     left: float
+    is_open: bool
 
     def group(self, form: EffectForm) -> tuple[str, ...]:
         return self.groups.get(form.site, (form.site,))
@@ -476,6 +484,7 @@ class _Context:
             share=share,
             size=size,
             rival="" if rival is None else _title(self.forms[rival]),
+            is_matched=self.is_open and depth > Depth.MISSING and self._is_matched(depth, holds),
             frequency=frequency,
             left=self.left,
         )
@@ -493,6 +502,13 @@ class _Context:
             has_twin=has_twin,
             joint=weigh_claim(replace(claim, frequency=self.weights.share(either))),
         )
+
+    def _is_matched(self, depth: Depth, holds: Sequence[bool]) -> bool:
+        """Whether a set that does not make a claim does as well as often as not."""
+        # A curve has no name that would speak against another one.
+        speaks = [depth < Depth.FAMILY or all(f.name for f in forms) for forms in self.forms]
+        others = [k for k, held in enumerate(holds) if not held and speaks[k]]
+        return bool((self.draws.good[:, others].mean(axis=0) >= EQUAL_FREQUENCY).any())
 
     def _equals(self, best: int, form: EffectForm) -> dict[int, str]:
         """The effects, no relatives, with which a set that is good does without this one, as often as not, by the set's number."""

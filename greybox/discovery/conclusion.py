@@ -156,7 +156,7 @@ def _put_usual_first(answer: SearchAnswer) -> SearchAnswer:
     names = set(answer.grounds.names or ()) & set(preferred.candidate.names)
     # Each name that is said is weighed, however seldom it wins.
     sites = answer.location.sets if answer.location else ()
-    made = weigh_claims(draws, sites, chosen.given, left, preferred.candidate.names)
+    made = weigh_claims(draws, sites, chosen.given, left, preferred.candidate.names, is_open)
     new = set(preferred.candidate.names) - {c.name for c in answer.weighed}
     weighed = (*answer.weighed, *(c for c in made if c.name in new))
     preferred = replace(preferred, weighed=weighed, grounds=replace(answer.grounds, names=names))
@@ -497,8 +497,9 @@ def _weigh(answer: SearchAnswer) -> SearchAnswer:
             return answer
         leading = draws.sets[Weights.of(draws).leading].candidate
         left = measure_structure(table.scores, leading, only_visible=True)
+        is_open = may_leave_more(leading, left, is_level_known(problem.noise_model))
         sites = answer.location.sets if answer.location else ()
-        weighed = weigh_claims(draws, sites, leading.given, left, chosen.names)
+        weighed = weigh_claims(draws, sites, leading.given, left, chosen.names, is_open)
         return replace(answer, weighed=weighed, grounds=grounds)
 
     weighed = weigh(draws)
