@@ -416,3 +416,35 @@ def test_the_sum_within_a_formula_is_no_second_name_of_a_rival():
         "cogging",
     ]
     assert split_names("") == [""] and split_names("plain_model") == ["plain_model"]
+
+
+@pytest.mark.parametrize(
+    ("rival", "times", "open_to"),
+    [
+        # Two others do as well in six of ten resamples, and lose each for one effect more: another place, and another name.
+        (("sensor_gain", "cubic_stiffness"), 6, (Depth.VARIABLES, Depth.FAMILY, Depth.NAME)),
+        (("sensor_gain", "sensor_lag"), 6, (Depth.PLACE, Depth.VARIABLES, Depth.FAMILY, Depth.NAME)),
+        (("sensor_gain", "sensor_lag"), 4, ()),
+        # A set that has it as well says the same.
+        (("sensor_gain", "coulomb_friction"), 6, ()),
+    ],
+)
+def test_nothing_is_established_that_sets_without_it_do_as_well_where_more_than_noise_may_be_left(
+    rival, times, open_to
+):
+    both = draws((fitted("coulomb_friction"), 10), (fitted(*rival, free=7), 0), PLAIN)
+    good = np.zeros_like(both.good)
+    good[:, 0], good[:times, 1] = True, True
+    won = Draws(both.sets, both.errors, good, both.winner)
+    for is_open in (False, True):
+        claims = weigh_claims(won, (), (), 0.0, (), is_open)
+        expected = {depth for depth in Depth if not (is_open and depth in open_to)}
+        assert {c.depth for c in claims if c.is_established} == expected
+
+
+def test_a_curve_that_does_as_well_denies_a_place_and_no_name():
+    both = draws((fitted("sensor_gain"), 10), (fitted(curve=True), 0), PLAIN)
+    good = np.zeros_like(both.good)
+    good[:, :2] = True
+    claims = weigh_claims(Draws(both.sets, both.errors, good, both.winner), (), (), 0.0, (), True)
+    assert {c.depth for c in claims if c.is_matched} == {Depth.PLACE, Depth.VARIABLES}
