@@ -267,65 +267,78 @@ def is_same(trip: Mapping[str, Any]) -> bool:
     return bool(trip["said"]) or all(abs(ratio - 1) <= SAME for ratio in trip["ratio"].values())
 
 
-def write_page(lines: Sequence[Mapping[str, Any]], note: str = "") -> str:
-    """The page `measured_certainty.md`; ``note`` is a sentence on which state of the program the searches are of."""
-    counts = count_claims(lines)
-    by_depth = [
-        [word, *(str(counts[depth, grade, truth]) for grade in GRADES for truth in WORDS)]
-        for depth, word in DEPTHS.items()
-    ]
-    heads = ["depth", *(f"{grade}, {word}" for grade in GRADES for word in WORDS.values())]
+def write_page(lines: Sequence[Mapping[str, Any]], told: Sequence[Mapping[str, Any]] = (), note: str = "") -> str:
+    """The page `measured_certainty.md`.
+
+    ``told`` are the answers of searches that knew the parts of their rigs; ``note`` is a sentence on which state of the program searched.
+    """
+    ways = {"nothing told": lines, "parts told": told} if told else {"answers": lines}
+    columns = [count_answers(each) for each in ways.values()]
+    totals = [[what, *cells] for what in columns[0] if set(cells := [c[what] for c in columns]) != {"0 of 0"}]
+    counts = [count_claims(each) for each in ways.values()]
+    by_grade = {
+        grade: [
+            [name, *(str(c[depth, grade, truth]) for c in counts for truth in WORDS)] for depth, name in DEPTHS.items()
+        ]
+        for grade in GRADES
+    }
+    heads = ["depth", *(f"{way}: {word}" for way in ways for word in WORDS.values())]
+    rigs = list(dict.fromkeys(line["rig"] for line in (*lines, *told)))
+    return "\n".join(
+        [
+            HEAD.format(
+                searches=" and ".join(f"{len(each)} of {len(SEARCHES)}" for each in ways.values()),
+                rigs=len(rigs),
+                note=note,
+            ),
+            markdown(["what", *ways], totals),
+            *(f"\n## {grade.capitalize()}, by depth\n\n{markdown(heads, rows)}" for grade, rows in by_grade.items()),
+            "\n## By rig\n",
+            BY_RIG,
+            *(part for way, each in ways.items() for part in (f"{way.capitalize()}:\n", tabulate_rigs(each, rigs), "")),
+        ]
+    )
+
+
+def count_answers(lines: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """How many answers are right, in words."""
     listed = [line for line in lines if RIGS[line["rig"]].is_in_catalogue]
     lacking = [line for line in lines if RIGS[line["rig"]].facts]
     null = [line for line in lines if not RIGS[line["rig"]].facts]
     certain = [c for line in lines for c in said(line) if c["grade"] == "established" and c["right"] is not None]
     asked = [line["question"] for line in listed if line.get("question")]
-    totals = [
-        ["right name first, where the catalogue holds it", count(first_name(line) for line in listed)],
-        ["right family first, where the catalogue holds it", count(first_family(line) for line in listed)],
-        [
-            "something true established (a place or deeper)",
-            f"{sum(any(c['right'] and c['grade'] == 'established' for c in said(line)) for line in lacking)} of {len(lacking)}",
-        ],
-        [
-            "wrong among what is established and can be judged",
-            f"{sum(not c['right'] for c in certain)} of {len(certain)}",
-        ],
-        [
-            "answers with something established where nothing may be said (heavy balls, healthy rotor)",
-            f"{sum(any(c['grade'] == 'established' for c in said(line)) for line in null)} of {len(null)}",
-        ],
-        [
-            "round trips with the same error within 1 %, or told",
-            f"{sum(is_same(line['round_trip']) for line in lines)} of {len(lines)}",
-        ],
-        [
-            "questions about a part whose answer leads to a right name",
-            count(q for q in asked if q["right"] is not None),
-        ],
-        ["searches that ended at their time limit", f"{sum(line['out_of_time'] for line in lines)} of {len(lines)}"],
-    ]
-    by_rig = []
-    for rig in dict.fromkeys(line["rig"] for line in lines):
+    tripped = [line["round_trip"] for line in lines if line["round_trip"]]
+    established = [any(c["right"] and c["grade"] == "established" for c in said(line)) for line in lacking]
+    seconds = np.array([line["seconds"] for line in lines])
+    return {
+        "right name first, where the catalogue holds it": count(first_name(line) for line in listed),
+        "right name anywhere in the answer": (
+            f"{sum(any(e['right'] for e in line['effects']) for line in listed)} of {len(listed)}"
+        ),
+        "right family first, where the catalogue holds it": count(first_family(line) for line in listed),
+        "something true established (a place or deeper)": f"{sum(established)} of {len(lacking)}",
+        "wrong among what is established and can be judged": f"{sum(not c['right'] for c in certain)} of {len(certain)}",
+        "answers with something established where nothing may be said (heavy balls, healthy rotor)": (
+            f"{sum(any(c['grade'] == 'established' for c in said(line)) for line in null)} of {len(null)}"
+        ),
+        "round trips with the same error within 1 %, or told": f"{sum(map(is_same, tripped))} of {len(tripped)}",
+        "questions about a part whose answer leads to a right name": count(q for q in asked if q["right"] is not None),
+        "searches that ended at their time limit": f"{sum(line['out_of_time'] for line in lines)} of {len(lines)}",
+        "CPU s: median, 95th of a hundred, most": ", ".join(f"{v:.0f}" for v in np.percentile(seconds, (50, 95, 100))),
+    }
+
+
+def tabulate_rigs(lines: Sequence[Mapping[str, Any]], rigs: Sequence[str]) -> str:
+    """What was established of each rig."""
+    rows = []
+    for rig in rigs:
         here = [line for line in lines if line["rig"] == rig]
         c = count_claims(here)
         cells = ["/".join(str(c[depth, "established", truth]) for truth in WORDS) for depth in DEPTHS]
         names = count(map(first_name, here)) if RIGS[rig].is_in_catalogue else "-"
-        by_rig.append([rig, str(len(here)), names, *cells, f"{np.median([line['seconds'] for line in here]):.0f}"])
-    return "\n".join(
-        [
-            HEAD.format(
-                searches=len(lines), planned=len(SEARCHES), rigs=len({line["rig"] for line in lines}), note=note
-            ),
-            markdown(["what", "answers"], totals),
-            "\n## By depth and grade\n",
-            markdown(heads, by_depth),
-            "\n## By rig\n",
-            BY_RIG,
-            markdown(["rig", "searches", "right name first", *DEPTHS.values(), "CPU s (median)"], by_rig),
-            "",
-        ]
-    )
+        middle = f"{np.median([line['seconds'] for line in here]):.0f}" if here else "-"
+        rows.append([rig, str(len(here)), names, *cells, middle])
+    return markdown(["rig", "searches", "right name first", *DEPTHS.values(), "CPU s (median)"], rows)
 
 
 def count(claims: Iterable[Mapping[str, Any] | None]) -> str:
@@ -351,8 +364,9 @@ def tell_deepest(line: Mapping[str, Any]) -> str:
 
 HEAD = """# Certainty on measured records
 
-How often what `greybox discover` calls certain is true on measured records of {rigs} public rigs, nothing told but the plain model:
-{searches} of {planned} searches, each with one record to learn from, one to choose by and a third to be judged on.{note} Written by
+How often what `greybox discover` calls certain is true on measured records of {rigs} public rigs: with nothing told but the plain model,
+and where the parts of the rig are told (`has`, `lacks`); {searches} searches, each with one record to learn from, one to choose by and a
+third to be judged on.{note} Written by
 `python -m fits.studies.measured_certainty FOLDER --page docs/studies/measured_certainty.md`; `fits.studies.measured_rigs` says whose the
 records are and what is known of each rig. All rigs were looked at while the method was built: this is no blind test. [What these records
 taught](../measured_lessons.md).
@@ -384,6 +398,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--told", action="store_true", help="tell each search which parts its rig has and lacks")
     parser.add_argument("--rig", action="append", choices=list(RIGS), dest="rigs", help="these rigs alone")
     parser.add_argument("--page", type=Path, help="write the page of the searches that are done, and search nothing")
+    parser.add_argument(
+        "--beside", type=Path, help="for the page: a file for each search that was told the parts of its rig"
+    )
     parser.add_argument("--note", default="", help="a sentence for the page on the state of the program that searched")
     given = parser.parse_args(arguments)
     given.output.mkdir(parents=True, exist_ok=True)
@@ -400,14 +417,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 continue
             sys.stderr.write(f"{case.rig}: {case.learn} -> {case.choose}\n")
             file.write_text(json.dumps(study(case, given.folder, given.limit, given.told), indent=1))
-    done = {case: file for case in SEARCHES if (file := given.output / name_file(case)).exists()}
-    lines = [json.loads(file.read_text()) for case, file in done.items()]
-    # Judged anew: what is known of a rig may have grown since.
-    lines = [judge_again(line) for line in sorted(lines, key=lambda line: list(RIGS).index(line["rig"]))]
+    lines = read_answers(given.output)
     if given.page:
-        given.page.write_text(write_page(lines, given.note and f" {given.note}"), encoding="utf-8")
+        told = read_answers(given.beside) if given.beside else []
+        given.page.write_text(write_page(lines, told, given.note and f" {given.note}"), encoding="utf-8")
     for line in lines:
         sys.stdout.write(f"{line['rig']}: {line['verdict']}; {tell_effects(line)}; {tell_deepest(line)}\n")
+
+
+def read_answers(folder: Path) -> list[dict[str, Any]]:
+    """The answers in a folder, rig by rig, judged anew: what is known of a rig may have grown since."""
+    files = [folder / name_file(case) for case in SEARCHES]
+    lines = [json.loads(file.read_text()) for file in files if file.exists()]
+    return [judge_again(line) for line in sorted(lines, key=lambda line: list(RIGS).index(line["rig"]))]
 
 
 def judge_again(line: Mapping[str, Any]) -> dict[str, Any]:

@@ -110,7 +110,10 @@ def draw_torque(folder: Path) -> Figure:
 
 def draw_depths(page: Path) -> Figure:
     """What was established on the measured rigs at each depth, right and wrong, as the page of measured certainty counts it."""
-    rows = re.findall(r"^\| (place|variables|family|name) \| (\d+) \| (\d+) \|", page.read_text(encoding="utf-8"), re.M)
+    # The first of the tables by depth is that of what was established.
+    rows = re.findall(
+        r"^\| (place|variables|family|name) \| (\d+) \| (\d+) \|", page.read_text(encoding="utf-8"), re.M
+    )[:4]
     figure, (axis,) = start_figure(5.0, 2.4, 1)
     for k, (depth, right, wrong) in enumerate(rows):
         axis.barh(-k, int(right), color="C0", label="right" if not k else None)
