@@ -169,13 +169,13 @@ class _Order:
     @property
     def _kept(self) -> set[str]:
         """Names that stay: those with more than even odds by the records, but what is only probable and rare with a part that was told."""
-        told = read_parts(self.plain).told
+        parts = read_parts(self.plain).told
         effects = {claimed_name(e): e for e in self.answer.model.effects}
         grades = {name: self.grades.get(name, Grade.STAND_IN) for name in self.answer.names}
         return {
             name
             for name, grade in grades.items()
-            if grade is Grade.ESTABLISHED or (grade is Grade.PROBABLE and not told.make_rare(effects[name]))
+            if grade is Grade.ESTABLISHED or (grade is Grade.PROBABLE and not parts.make_rare(effects[name]))
         }
 
     def choose(self, equal: Sequence[int], parts: RigParts) -> int | None:
