@@ -303,12 +303,12 @@ class DiscoveryProblem:
 
     @cached_property
     def run_options(self) -> FitOptions:
-        """The options of a free run that compares candidates: its step is no finer than any refit's."""
+        """The options of a free run that compares candidates: its step is no finer than any refit's, and it is as free as these."""
         policy, most = self.options.policy, UNSTABLE_FACTOR * self._most_substeps
         discretisation = replace(policy.discretisation, max_substeps=most)
         refinement = replace(policy.step_refinement, max_substeps=most)
         policy = replace(policy, discretisation=discretisation, step_refinement=refinement)
-        return replace(self.options, policy=policy)
+        return replace(self.refit_options, policy=policy)
 
     def _job_options(self, job: RefitJob) -> FitOptions:
         """Those of one refit of the search: from its start straight to an optimum, with steps that do not become ever finer."""

@@ -140,7 +140,8 @@ def validate(
 
     The initial state is the declared one (``options.at_rest``), or estimated from so many first rows that they determine it: half of
     what the whole record tells of it. An unstable model cannot run freely
-    for long: there the initial state is estimated from the whole record, ``at_rest`` or not, and the run is that of segments that meet.
+    for long: there the initial state is estimated from the whole record, ``at_rest`` or not, and the run is that of segments that meet,
+    unless single shooting is asked for.
     With a robust ``options.loss`` outliers among the first rows do not spoil it.
 
     Parameters
@@ -174,10 +175,12 @@ def validate(
     >>> validate(fit.model, other_record, noise=fit.noise.std).misfit["x"].noise_ratio  # doctest: +SKIP
     1.02
     """
+    options = resolve_options(options)
+    is_free = options.transcription == Transcription.SINGLE
     options = replace(
-        resolve_options(options),
+        options,
         per_experiment=(),
-        transcription=Transcription.AUTOMATIC,
+        transcription=Transcription.SINGLE if is_free else Transcription.AUTOMATIC,
         arc_length=0.0,
         hessian=Hessian.GAUSS_NEWTON,
     )
