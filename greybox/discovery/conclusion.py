@@ -497,7 +497,8 @@ def _weigh(answer: SearchAnswer) -> SearchAnswer:
             return answer
         leading = draws.sets[Weights.of(draws).leading].candidate
         left = measure_structure(table.scores, leading, only_visible=True)
-        is_open = may_leave_more(leading, left, is_level_known(problem.noise_model))
+        # Chance leaves a short record a little above its noise: where that is all, the fewest effects are a ground.
+        is_open = not answer.rest and may_leave_more(leading, left, is_level_known(problem.noise_model))
         sites = answer.location.sets if answer.location else ()
         weighed = weigh_claims(draws, sites, leading.given, left, chosen.names, is_open)
         return replace(answer, weighed=weighed, grounds=grounds)
