@@ -57,34 +57,42 @@ def watch_replaced() -> Iterator[dict[Path, str]]:
 
 # Written files of which is remembered what they held, those of some hundred commands; and where, in the folder of the cache.
 MOST_REMEMBERED = 500
-OUTPUTS_FILE = "outputs.json"
+OUTPUTS_FOLDER = "outputs"
 
 
 def list_foreign(written: Mapping[Path, str], command: str, memory: Path) -> list[Path]:
     """Of files that were ``written`` over something else those that were no earlier output of the same ``command``.
 
-    ``written``: as `watch_replaced` gives it. What they hold now is kept in the file ``memory``; one that is lost or damaged remembers
-    nothing.
+    ``written``: as `watch_replaced` gives it. What they hold now is kept in the folder ``memory``, each in a file of its own: commands that
+    run at the same time forget nothing of each other. A file that is lost or damaged remembers nothing.
     """
-    known, asked = _recall(memory), _abbreviate(command)
-    places = {path: os.path.realpath(path) for path in written}
-    foreign = [path for path, before in written.items() if before and known.get(places[path]) != [before, asked]]
-    now = {places[path]: [compute_digest(path), asked] for path in written if path.is_file()}
-    kept = list({**{p: v for p, v in known.items() if p not in now}, **now}.items())[-MOST_REMEMBERED:]
+    asked = _abbreviate(command)
+    foreign = [path for path, before in written.items() if before and _recall(path, memory) != [before, asked]]
     with contextlib.suppress(OSError):
-        write_file(memory, json.dumps(dict(kept)), private=True)
+        memory.mkdir(parents=True, exist_ok=True)
+        for path in written:
+            if path.is_file():
+                write_file(_find_memory(path, memory), f"{compute_digest(path)} {asked}", private=True)
+        for old in sorted(memory.iterdir(), key=lambda entry: entry.stat().st_mtime_ns)[:-MOST_REMEMBERED]:
+            old.unlink(missing_ok=True)
     return foreign
 
 
 def is_output_of(path: Path, command: str, memory: Path) -> bool:
     """Whether a file holds what ``command`` wrote there, by what `list_foreign` keeps in ``memory``."""
-    return _recall(memory).get(os.path.realpath(path)) == [compute_digest(path), _abbreviate(command)]
+    return _recall(path, memory) == [compute_digest(path), _abbreviate(command)]
 
 
-def _recall(memory: Path) -> dict[str, list[str]]:
-    with contextlib.suppress(OSError, ValueError, TypeError):
-        return dict(json.loads(memory.read_text(encoding="utf-8")))
-    return {}
+def _find_memory(path: Path, memory: Path) -> Path:
+    """The file in ``memory`` that remembers ``path``."""
+    return memory / _abbreviate(os.path.realpath(path))
+
+
+def _recall(path: Path, memory: Path) -> list[str]:
+    """What a file held, and the command that wrote it; empty where that is not known."""
+    with contextlib.suppress(OSError, ValueError):
+        return _find_memory(path, memory).read_text(encoding="utf-8").split()
+    return []
 
 
 def _abbreviate(text: str) -> str:

@@ -12,7 +12,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from greybox.base import ExitCode, Finding, GreyboxError, ModelError
-from greybox.base.files import OUTPUTS_FILE, list_foreign, watch_replaced
+from greybox.base.files import OUTPUTS_FOLDER, list_foreign, watch_replaced
 from greybox.base.texts import to_word, wrap
 from greybox.shell.study import Answer, Command, Option, Study
 from greybox.shell.study_file import is_study_file, read_study, with_overrides, write_study
@@ -66,7 +66,7 @@ def make_command(name: str, command: Command, commands: Mapping[str, Command]) -
             finally:
                 cache = find_cache_folder()
                 outputs = {path: before for path, before in written.items() if cache not in path.parents}
-                files = list_foreign(outputs, f"{name} {sorted(ctx.params.items())}", cache / OUTPUTS_FILE)
+                files = list_foreign(outputs, f"{name} {sorted(ctx.params.items())}", cache / OUTPUTS_FOLDER)
                 if files and not study.silent:
                     print_findings([Finding(CommandCode.FILES_REPLACED, values={"files": files})])
 

@@ -337,19 +337,19 @@ def is_model_path(name: str) -> bool:
 
 
 # Digests of the programs that this user has named as models when a study was written, in the folder of the cache.
-MODELS_FILE = "models.json"
+MODELS_FOLDER = "models"
 
 
 def remember_program(name: str) -> None:
     """Know the file that ``name`` is, as it stands, for a program that this user runs: a study may name it again."""
     if runs_code(name) and (file := split_model_path(name)[0]).is_file():
-        list_foreign({file: ""}, MODELS_FILE, find_cache_folder() / MODELS_FILE)
+        list_foreign({file: ""}, MODELS_FOLDER, find_cache_folder() / MODELS_FOLDER)
 
 
 def is_remembered(name: str) -> bool:
     """Whether `remember_program` knows the file that ``name`` is, and it has not changed since."""
     file = split_model_path(name)[0]
-    return file.is_file() and is_output_of(file, MODELS_FILE, find_cache_folder() / MODELS_FILE)
+    return file.is_file() and is_output_of(file, MODELS_FOLDER, find_cache_folder() / MODELS_FOLDER)
 
 
 def runs_code(name: str) -> bool:

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ import pytest
 
 from greybox.base import files
 from greybox.base.errors import GreyboxError, OutputError
-from greybox.base.files import append_line, list_foreign, watch_replaced, write_file
+from greybox.base.files import append_line, is_output_of, list_foreign, watch_replaced, write_file
 
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="limits and signals of POSIX")
 
@@ -199,7 +200,7 @@ def test_what_held_something_else_before_is_known(tmp_path: Path) -> None:
 
 
 def test_an_earlier_output_of_the_same_command_is_no_foreign_content(tmp_path: Path) -> None:
-    target, memory = tmp_path / "fit.json", tmp_path / "memory.json"
+    target, memory = tmp_path / "fit.json", tmp_path / "memory"
 
     def run(text: str, command: str) -> list[Path]:
         with watch_replaced() as written:
@@ -211,7 +212,28 @@ def test_an_earlier_output_of_the_same_command_is_no_foreign_content(tmp_path: P
     assert run("4", "fit b") == [target]
     target.write_text("notes of my own")
     assert run("5", "fit b") == [target]
-    for text in ("damaged", "[1, 2]", "7", "null"):
-        memory.write_text(text)
+    for text in ("damaged", "", "7 7 7"):
+        (entry,) = memory.iterdir()
+        entry.write_text(text)
         assert run(f"after {text}", "fit b") == [target]
         assert not run("7", "fit b")
+
+
+def test_commands_that_run_at_the_same_time_forget_nothing_of_each_other(tmp_path: Path) -> None:
+    memory, places = tmp_path / "memory", [tmp_path / f"{k}.json" for k in range(40)]
+    for place in places:
+        place.write_text(place.name)
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda place: list_foreign({place: ""}, "fit a", memory), places))
+    assert all(is_output_of(place, "fit a", memory) for place in places)
+
+
+def test_the_files_that_were_written_last_are_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "MOST_REMEMBERED", 3)
+    memory, places = tmp_path / "memory", [tmp_path / f"{k}.json" for k in range(5)]
+    for place in places:
+        place.write_text(place.name)
+        list_foreign({place: ""}, "fit a", memory)
+        for entry in memory.iterdir():  # as if a second had gone by
+            os.utime(entry, ns=(entry.stat().st_atime_ns, entry.stat().st_mtime_ns - 10**9))
+    assert [is_output_of(place, "fit a", memory) for place in places] == [False, False, True, True, True]

@@ -21,7 +21,7 @@ import numpy as np
 from greybox.base import DataError, GreyboxError, ModelError, format_unit, nearest, write_file
 from greybox.base.document import FigureBlock
 from greybox.base.figure import Figure
-from greybox.base.files import OUTPUTS_FILE, find_free_path, is_output_of, list_foreign
+from greybox.base.files import OUTPUTS_FOLDER, find_free_path, is_output_of, list_foreign
 from greybox.data.columns import ColumnChoice, merge_mappings
 from greybox.data.experiment import GapError
 from greybox.discovery.findings import DiscoveryCode
@@ -449,7 +449,7 @@ class Workbench:
 
     def _settle_folder(self) -> None:
         """Export to ``name-2``, ``name-3`` beside the folder where a file in it is none that the app wrote: nobody's work is replaced."""
-        first, memory = self.folder, find_cache_folder() / OUTPUTS_FILE
+        first, memory = self.folder, find_cache_folder() / OUTPUTS_FOLDER
         for count in itertools.count(2):
             present = [path for path in map(self.folder.joinpath, EXPORTED) if os.path.lexists(path)]
             if all(path.is_file() and is_output_of(path, EXPORTER, memory) for path in present):
@@ -458,7 +458,7 @@ class Workbench:
 
     def _remember(self, files: Iterable[Path]) -> None:
         """Know these files for what the app wrote, when it exports again, in this session or in another."""
-        list_foreign(dict.fromkeys(files, ""), EXPORTER, find_cache_folder() / OUTPUTS_FILE)
+        list_foreign(dict.fromkeys(files, ""), EXPORTER, find_cache_folder() / OUTPUTS_FOLDER)
         remember_program(str(self.folder / MODEL_FILE))
 
     def close(self) -> None:
