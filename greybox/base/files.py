@@ -96,7 +96,8 @@ def _recall(path: Path, memory: Path) -> list[str]:
 
 
 def _abbreviate(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    # A name of a file may hold what is no text.
+    return hashlib.sha256(text.encode(errors="backslashreplace")).hexdigest()[:16]
 
 
 def compute_digest(path: Path) -> str:
