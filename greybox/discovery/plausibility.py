@@ -175,7 +175,7 @@ class _Order:
         return {
             name
             for name, grade in grades.items()
-            if grade is Grade.ESTABLISHED or (grade is Grade.PROBABLE and not parts.make_rare(effects[name]))
+            if grade is Grade.ESTABLISHED or (grade is Grade.PROBABLE and not parts.speak_against(effects[name]))
         }
 
     def choose(self, equal: Sequence[int], parts: RigParts) -> int | None:

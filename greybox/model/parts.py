@@ -252,8 +252,8 @@ class RigParts:
         """The class of an effect on this rig: that of the first of its parts that is there, else its own."""
         return next((kind for name, kind in effect.occurs_with.items() if name in self.has), effect.occurs)
 
-    def make_rare(self, effect: Effect) -> bool:
-        """Whether a part that the rig has speaks against an effect."""
+    def speak_against(self, effect: Effect) -> bool:
+        """Whether an effect is rare or exotic for a part that the rig has."""
         named = any(name in self.has for name in effect.occurs_with)
         return named and self.occurrence(effect) in (Occurrence.RARE, Occurrence.EXOTIC)
 

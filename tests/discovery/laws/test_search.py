@@ -57,20 +57,25 @@ def record(name: str, start: tuple[float, float], seed: int) -> Experiment:
     return Experiment(name, time, {}, {"a": y[0], "b": y[1]})
 
 
+def search_for_the_hunt():
+    """A search for the equation that hunters without their hunt lack."""
+    return gb.discover(
+        hunters(False),
+        record("one", (3.0, 1.0), 1),
+        validation=record("two", (1.5, 2.0), 2),
+        noise={"a": NOISE, "b": NOISE},
+        effects=(),
+        laws=True,
+    )
+
+
 @pytest.fixture(scope="module")
 def searched():
     """The answer, and what was asked for curves in its place on the way."""
     asked = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(conclusion, "add_curves_in_place", lambda *given: asked.append(given))
-        answer = gb.discover(
-            hunters(False),
-            record("one", (3.0, 1.0), 1),
-            validation=record("two", (1.5, 2.0), 2),
-            noise={"a": NOISE, "b": NOISE},
-            effects=(),
-            laws=True,
-        )
+        answer = search_for_the_hunt()
     return answer, asked
 
 
@@ -119,14 +124,7 @@ def test_a_law_that_takes_nothing_of_the_error_is_none(found, monkeypatch):
     monkeypatch.setattr(conclusion, "finish_fit", go_astray)
     # What stands in for it would be looked for as long as for the law.
     monkeypatch.setattr(conclusion, "fit_stand_in", lambda *given: None)
-    answer = gb.discover(
-        hunters(False),
-        record("one", (3.0, 1.0), 1),
-        validation=record("two", (1.5, 2.0), 2),
-        noise={"a": NOISE, "b": NOISE},
-        effects=(),
-        laws=True,
-    )
+    answer = search_for_the_hunt()
     assert answer.verdict == "unknown" and answer.laws == ()
     assert answer.holdout["a"].after == answer.holdout["a"].before
 
