@@ -9,6 +9,7 @@ from scipy.optimize import curve_fit
 import greybox as gb
 from greybox import Balance, Experiment, Model, Output, Parameter, State
 from greybox.estimation.findings import EstimationCode
+from greybox.estimation.validate import validate
 
 AT_REST = gb.FitOptions(at_rest=True)
 
@@ -52,3 +53,23 @@ def test_nothing_is_said_where_the_start_is_free_zero_or_the_clock_ran_on() -> N
     assert not find(gb.fit(decay(5.0).fix("c0"), table(1.0)))
     assert not find(gb.fit(decay(lambda p: p.c0), table(0.0), options=AT_REST))
     assert not find(gb.fit(decay(lambda p: p.c0), table(0.0, clock=300.0), options=AT_REST))
+
+
+def test_an_unstable_model_runs_freely_over_other_records_where_single_shooting_is_asked_for():
+    """x' = a x with a 5 % too large: from its first rows the run is off by a factor of exp(0.05 t); segments meet the whole record."""
+    growth = Model(
+        "growth",
+        [State("x", "m", 1.0)],
+        [],
+        [Output("x", "m")],
+        [Parameter("a", "1/s", 1.05)],
+        lambda x, u, p: [Balance("rate", "m/s", 1, "x", growth=p.a * x.x)],
+    )
+    time = np.linspace(0, 12, 601)
+    record = Experiment("truth", time, {}, {"x": np.exp(time)})
+    automatic, free = (
+        validate(growth, record, noise={"x": 1.0}, initial_rows=50, options=gb.FitOptions(transcription=each))
+        for each in ("automatic", "single")
+    )
+    assert free.traces[0].simulated["x"][-1] / np.exp(12) == pytest.approx(np.exp(0.05 * 12), rel=0.05)
+    assert automatic.misfit["x"].rmse < free.misfit["x"].rmse / 2
