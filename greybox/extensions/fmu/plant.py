@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from greybox.base import ModelError, Printable, nearest, to_identifiers
-from greybox.comparison.input_response import estimate_linear_response
 from greybox.data.experiment import Experiment
 from greybox.extensions.fmu.description import FmuDescription, read_description
 from greybox.extensions.fmu.simulator import FmuSimulator
@@ -163,6 +162,9 @@ class FmuPlant(Printable):
 
     def linearise(self, record: Experiment, values: Mapping[str, float]) -> LinearResponse | None:
         """The answer to small changes of the inputs along a record, from two runs of the FMU; None where no linear system follows it."""
+        # A second to import, and the process that runs the FMU would wait for it.
+        from greybox.comparison.input_response import estimate_linear_response
+
         model = self.model.start(**values)
         assert isinstance(model, PlantModel)
         return estimate_linear_response(PlantKernel(model), record)
