@@ -43,6 +43,15 @@ NOTE_ANSWER = """
 """
 
 
+# Let answers wait until the page is told to take them.
+HOLD_ANSWERS = """
+(() => {
+  const ask = window.fetch, open = new Promise((resolve) => { window.release = () => { window.fetch = ask; resolve(); }; });
+  window.fetch = async (...request) => { const answer = await ask(...request); await open; return answer; };
+})()
+"""
+
+
 @pytest.fixture(scope="module")
 def server(rig: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     """The command as it is typed, without a record, and the folder that it exports to."""
@@ -164,6 +173,7 @@ def test_a_record_with_a_gap_is_split_with_a_click(page, rig: Path, tmp_path: Pa
 
 def test_dragging_a_constant_redraws_the_simulation_at_once(page) -> None:
     before, redraws = ratio(page), "Number(document.documentElement.dataset.redraws ?? 0)"
+    study = page.text_content("#study")
     simulated = "JSON.stringify([...document.getElementById('run').data[1].y].slice(0, 50))"
     drawn = page.evaluate(simulated)
     slider = page.locator(".constant[data-name=B] input[type=range]")
@@ -176,9 +186,26 @@ def test_dragging_a_constant_redraws_the_simulation_at_once(page) -> None:
     until(page, f"{redraws} > 0")  # while the button is still down
     assert page.evaluate(simulated) != drawn
     page.mouse.up()
-    until(page, "!document.getElementById('undo').disabled")
+    until(page, f"document.getElementById('study').textContent !== {json.dumps(study)}")
     until(page, f"document.querySelector('#misfit tbody td:last-child').textContent.split(' ')[0] != {before}")
     assert value(page, "B") > 3
+    settled(page)
+
+
+def test_what_is_typed_stays_where_an_answer_comes_meanwhile(page) -> None:
+    before, study = value(page, "B"), page.text_content("#study")
+    page.evaluate(HOLD_ANSWERS)
+    page.press(".constant[data-name=M] input[type=range]", "ArrowRight")
+    page.press(".constant[data-name=B] input[type=number]", "9")
+    typed = value(page, "B")
+    page.evaluate("window.release()")
+    until(page, f"document.getElementById('study').textContent !== {json.dumps(study)}")
+    assert value(page, "B") == typed != before
+    page.fill(".constant[data-name=B] input[type=number]", str(before))
+    page.keyboard.press("Tab")
+    page.click("#undo")
+    until(page, f"document.getElementById('study').textContent === {json.dumps(study)}")
+    assert value(page, "B") == before
     settled(page)
 
 

@@ -181,7 +181,7 @@
     row.dataset.name = name;
     const what = make("span", "", { className: "what" });
     what.append(make("b", name), make("span", unit ? ` [${unit}]` : "", { className: "unit" }));
-    const number = make("input", "", { type: "number", step: "any", value: short(value) });
+    const number = make("input", "", { type: "number", step: "any", defaultValue: short(value) });
     number.setAttribute("aria-label", `${name}, value`);
     const slider = make("input", "", { type: "range", min: 0, max: STEPS, step: 1 });
     slider.value = toPlace(constant, value);
@@ -192,6 +192,7 @@
     });
     slider.addEventListener("change", () => take("values", { values: { [name]: toValue(constant, slider.value) } }));
     number.addEventListener("change", () => {
+      number.defaultValue = number.value; // taken: an answer may replace it
       if (number.value !== "" && Number.isFinite(number.valueAsNumber)) take("values", { values: { [name]: number.valueAsNumber } });
       else number.value = short(value);
     });
@@ -246,7 +247,9 @@
     document.title = `${state.title} · greybox`;
     by("title").textContent = state.title.replaceAll("_", " ");
     by("description").textContent = state.description;
-    by("constants").replaceChildren(...state.constants.map(constantRow));
+    // What is being typed stays until it is taken, whatever answer comes meanwhile.
+    const isTyping = focus?.matches(".constant input[type=number]") && focus.value !== focus.defaultValue;
+    if (!isTyping) by("constants").replaceChildren(...state.constants.map(constantRow));
     by("effects").replaceChildren(...(state.effects.length ? state.effects.map(({ name, site, equation }) =>
       item(name.replaceAll("_", " "), [equation, `at ${site}`], button("Remove", `Remove ${name}`, () => take("effect", { name, on: false })))) : [make("li", "None in the model.")]));
     listCatalogue();
