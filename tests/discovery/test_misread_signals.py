@@ -132,7 +132,7 @@ LIKE_A_WIRE = ("gain_by_sign", "input_offset", "sensor_gain", "transport_delay",
         pytest.param("stage", "x", "reversed_reading", (), marks=pytest.mark.slow),
         ("stage", "x", "reversed_reading", LIKE_A_WIRE),
         pytest.param("stage", "F", "reversed_input", (), marks=pytest.mark.slow),
-        ("heater", "P", "reversed_input", ()),
+        pytest.param("heater", "P", "reversed_input", (), marks=pytest.mark.slow),
         pytest.param("heater", "Ta", "reversed_input_at_Ta", (), marks=pytest.mark.slow),
     ],
 )

@@ -57,7 +57,7 @@ def test_the_same_noise_in_every_row_is_one_number() -> None:
         assert rows.parameters[name].std == pytest.approx(once.parameters[name].std, rel=1e-5)
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_intervals_cover_the_truth() -> None:
     inside = 0
     for seed in range(100):
