@@ -32,6 +32,7 @@ from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.starts import SearchTrouble, draw_starts
 from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.estimation.transcription.problem import Completion, TranscriptionReason
+from greybox.estimation.transcription.single_shooting import solve_single_shooting
 from tests.oracles.independent import multisine, solved_record
 from tests.support.oscillator import oscillator
 
@@ -119,7 +120,7 @@ def test_no_way_of_solving_ends_worse_than_it_began(name, way):
             assert (name, way[0]) == ("delayed lag", "collocation-radau") or (name, way[1]) == ("delayed lag", "esdirk")
 
 
-def test_segments_that_led_astray_give_way_to_the_run_of_the_start():
+def test_segments_that_led_astray_give_way_to_the_run_of_the_start(monkeypatch):
     """A solution is made worse by hand; its status says that it failed, as one at its iteration limit does."""
     model, record = driven(0.3, 4.0, 6.0, 2.0)
     options = FitOptions(at_rest=True, transcription="multiple")
@@ -136,6 +137,16 @@ def test_segments_that_led_astray_give_way_to_the_run_of_the_start():
     assert kept.status.success
     assert kept.strategy.values["completion"] == Completion.WENT_ON
     assert kept.evaluation.cost == pytest.approx(found.evaluation.cost, rel=1e-6)
+    # The better of the two is gone on from: here the end, which is nearer than the start.
+    searched = []
+
+    def note(problem, options, report):
+        searched.append(problem.variables)
+        return solve_single_shooting(problem, options, report)
+
+    monkeypatch.setattr(sys.modules["greybox.estimation.noise_loop"], "solve_single_shooting", note)
+    keep_best(failed, problem.variables.start_at({"k": 4000.0}), options)
+    assert searched == [astray]
     # After Ctrl-C the better point is handed out, and nothing is searched any more.
     stopped = keep_best(replace(failed, status=TerminationStatus.INTERRUPTED), problem.variables, options)
     assert stopped.status is TerminationStatus.INTERRUPTED
@@ -247,14 +258,8 @@ def test_published_constants_are_held(name):
     assert problem.squares({n: found.parameters[n].value for n in problem.names}) <= problem.squares({})
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize(
-    "draw",
-    [
-        pytest.param(0, marks=pytest.mark.slow, id="three times off"),
-        pytest.param(4, id="ended at another rhythm"),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("draw", [0, 4], ids=["three times off", "ended at another rhythm"])
 def test_a_relaxation_oscillation_from_far_off_is_found_from_other_starts(draw):
     """They are ranked by the steps of the search, as few of them run at explicit ones; another rhythm is an optimum above the noise."""
     problem, generator = PROBLEMS["Oregonator"], np.random.default_rng(1)
@@ -305,7 +310,7 @@ def test_a_start_that_explicit_steps_do_not_run_is_searched_from_by_others():
     ("name", "draw"),
     [
         pytest.param("thermal chain", 2, marks=pytest.mark.slow),
-        ("thermal chain", 3),
+        pytest.param("thermal chain", 3, marks=pytest.mark.slow),
         pytest.param("motor", 2, marks=pytest.mark.slow),
         ("measles", 1),
     ],
