@@ -6,7 +6,7 @@ import pytest
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State, fit
 from greybox.base import DataError
 from greybox.data.findings import RecordCode
-from greybox.data.identity import find_shared_readings, refuse_repeated
+from greybox.data.identity import _Readings, find_shared_readings, refuse_repeated
 
 ROWS = 500
 
@@ -174,3 +174,12 @@ def test_a_copy_that_kept_one_row_in_several_is_the_same_measurement(every, offs
     # An experiment of the same plant at another rate is another measurement.
     again = lag(u) + 0.02 * rng.normal(size=len(u))
     assert not list(find_shared_readings([whole, record(again[offset::every], u[offset::every], step=0.01 * every)]))
+
+
+def test_a_smooth_signal_has_no_events_and_a_jump_is_one():
+    k = np.arange(80.0)
+    # Its curvature, cos(0.7 k) - 0.4, changes its sign: there a second difference is nearly zero, and its neighbours are not.
+    smooth = -np.cos(0.7 * k) / 0.7**2 - 0.2 * k**2
+    assert not len(_Readings(record(smooth)).events["y"])
+    jumps = _Readings(record(smooth + 50.0 * (k >= 40))).events["y"]
+    assert len(jumps) and (np.abs(jumps - 40) <= 4).all()

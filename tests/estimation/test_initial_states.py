@@ -10,7 +10,13 @@ from scipy.linalg import expm
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit, simulate
 from greybox.estimation.score import score
 from greybox.estimation.transcription.preparation import prepare_problem
-from greybox.estimation.validate import FIRST_ROWS, determine_initial_states, fit_first_rows, validate
+from greybox.estimation.validate import (
+    FIRST_ROWS,
+    _cut_to_first_rows,
+    determine_initial_states,
+    fit_first_rows,
+    validate,
+)
 from models.cascaded_tanks import cascaded_tanks
 
 STEP = 5e-4
@@ -105,6 +111,12 @@ def first_order(rate):
     )
 
 
+def test_a_beginning_has_two_rows_for_each_state_at_least_and_no_more_than_there_are():
+    problem = prepare_problem(drive(), drive_record(rows=200), {"x": 1e-4}, FitOptions())
+    rows = [len(r.samples(r.y)) for n in (1, 30, 999) for r in _cut_to_first_rows(problem, [n]).records]
+    assert rows == [2 * len(drive().states), 30, 200]
+
+
 @pytest.mark.parametrize("rate", [1.0, 10.0, 200.0])
 def test_the_rows_follow_from_the_time_constant(rate, monkeypatch):
     # y = exp(-a t): the rows up to t hold the share 1 - exp(-2 a t) of the information
@@ -168,11 +180,11 @@ def test_an_offset_that_an_initial_state_can_stand_for_is_not_determined() -> No
 PLAY_TIME = 0.02 * np.arange(600)
 
 
-def axis(rate, *loss):
+def axis(rate, *loss, start=0.0):
     """A position that an input drives, with play."""
     return Model(
         "axis",
-        [State("y", "V", role="displacement")],
+        [State("y", "V", start, role="displacement")],
         [Input("u", "V", role="drive")],
         [Output("y", "V")],
         [Parameter("k", "1/s", rate, (1e-3, 1e3))],
@@ -208,6 +220,14 @@ def test_an_input_behind_play_begins_anywhere_between_its_ends(begin):
     assert judged.misfit["y"].noise_ratio < 1.1
     assert judged.traces[0].initial_state["w"] == pytest.approx(begin, abs=0.01)
     assert fit(model.start(k=0.6, h=1.4), record, noise={"y": 1e-3}).misfit["y"].noise_ratio < 1.1
+
+
+@pytest.mark.parametrize("start", [-2.0, 2.0])
+def test_a_state_before_a_play_lies_within_it_about_its_reading_wherever_it_was_declared(start):
+    model = (axis(0.3, start=start) + effect("backlash")).start(gap=2.0)
+    record = play_record(model, 0, 0.0, y=3.0, w=1.7)
+    placed = prepare_problem(model, [record], {"y": 1e-3}, FitOptions())
+    assert placed.variables.initial.guess[0, 0] == pytest.approx(3.0, abs=0.05)
 
 
 def test_a_told_state_keeps_its_guess_at_a_play():

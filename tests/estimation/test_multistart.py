@@ -19,7 +19,9 @@ from greybox.estimation.multistart import draw_starts, group_by_optimum, multist
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import DEFAULT_POLICY, FitOptions
 from greybox.estimation.result_parts import StartResult
-from greybox.estimation.starts import SearchTrouble, stands_where_it_began
+from greybox.estimation.starts import SearchTrouble, count_open_directions, find_trouble, stands_where_it_began
+from greybox.estimation.transcription.problem import TranscriptionReason
+from greybox.estimation.transcription.shooting_cost import Evaluation
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import experiment, linear_record, multisine
@@ -438,3 +440,47 @@ def test_a_start_of_the_wrong_sign_is_left_where_bounds_allow_it(name, truth, ba
     record = Experiment("r", time, {"u": u}, {"x": run + 1e-4 * np.random.default_rng(3).normal(size=400)})
     found = fit(model, record, options=REST)
     assert found.success and found.model.values["c"] == pytest.approx(truth, rel=0.02)
+
+
+def test_a_direction_is_open_where_its_step_changes_the_cost_by_less_than_the_variance_or_than_rounding():
+    """A cost of 2 of 200 residuals, whose variance is 0.01; d'Hd / 2 of steps of one: 4, 0.005 and 1e-9."""
+    hessian = 2 * np.diag([4.0, 0.005, 1e-9])
+    evaluation = Evaluation(2.0, np.zeros(3), hessian, np.array([2.0]), np.array([200]))
+    variables = SimpleNamespace(which=np.arange(3), spans=np.ones(3))
+
+    def count(step, rounding=0.0):
+        return count_open_directions(variables, evaluation, np.array(step), rounding)
+
+    assert [count([1.0, 1.0, 1.0]), count([1.0, 2.0, 1.0]), count([0.01, 2.0, 1e4])] == [2, 1, 1]
+    # Of the largest of them, 0.02 / 4 = 0.005.
+    assert [count([1.0, 2.0, 1e4], rounding) for rounding in (0.004, 0.006)] == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("reason", "adaptive", "level", "rmse", "trouble"),
+    [
+        (TranscriptionReason.UNSTABLE, True, True, 2.0, SearchTrouble.ANOTHER_COURSE),
+        (TranscriptionReason.FREE_RUN_FOLLOWS, True, True, 2.0, SearchTrouble.ANOTHER_COURSE),
+        (TranscriptionReason.STABLE, True, True, 2.0, None),
+        (TranscriptionReason.UNSTABLE, False, True, 2.0, None),
+        (TranscriptionReason.UNSTABLE, True, False, 2.0, None),
+        (TranscriptionReason.UNSTABLE, True, True, 1.0, None),
+    ],
+)
+def test_an_unstable_stiff_run_above_a_known_noise_may_follow_another_course(
+    monkeypatch, reason, adaptive, level, rmse, trouble
+):
+    monkeypatch.setattr("greybox.estimation.starts.is_at_noise", lambda _: rmse <= 1.0)
+    problem = SimpleNamespace(
+        step=SimpleNamespace(adaptive=adaptive or None), noise=SimpleNamespace(is_level_known=level)
+    )
+    unmoved = SimpleNamespace(values={}, free_parameters=())
+    ended = SimpleNamespace(
+        evaluation=SimpleNamespace(cost=1.0),
+        model=unmoved,
+        fitted_model=unmoved,
+        misfit={},
+        status=TerminationStatus.CONVERGED,
+        solution=SimpleNamespace(strategy=SimpleNamespace(values={"reason": reason}), problem=problem),
+    )
+    assert find_trouble(ended, problem, looks_elsewhere=False) is trouble

@@ -12,6 +12,7 @@ from greybox import FitOptions, fit
 from greybox.base.errors import ModelError
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.optimum import restore_objective
+from greybox.estimation.prediction_error import compute_largest_intensities
 from greybox.estimation.result import load_fit
 from greybox.simulation.filtering.kalman_filter import KalmanFilter
 from models.cascaded_tanks import cascaded_tanks
@@ -70,6 +71,23 @@ def test_the_most_likely_constants_are_those_of_statsmodels():
     for k, n in enumerate(names):
         assert found.parameters[n].std / found.parameters[n].value == pytest.approx(spread[k], rel=0.02)
     assert found.uncertainty.kind == "observed_information"
+    # What is restored of a result has all of its unknowns: an intensity that is not zero is one.
+    assert set(names) <= set(restore_objective(found).variables.names)
+
+
+def test_an_intensity_that_pushes_two_states_explains_the_movement_of_either_at_most():
+    """A walk of intensity q moves by q sqrt(h) in a row; here 2 q and 5 q push."""
+    parameters = [gb.Parameter("q", "m/s^0.5", 1.0, (0.0, 1e3)), gb.Parameter("k", "1/s", 1.0)]
+    model = gb.Model(
+        "two",
+        states=[gb.State(n, "m", noise=lambda p, f=f: f * p.q) for n, f in (("a", 2.0), ("b", 5.0))],
+        inputs=[],
+        outputs=[gb.Output("a", "m")],
+        parameters=parameters,
+        balances=lambda x, u, p: [gb.Balance(n, "m/s", 1, n, decay=-p.k * x[n]) for n in "ab"],
+    )
+    assert compute_largest_intensities(model, np.array([6.0, 20.0])) == {"q": pytest.approx(3.0)}
+    assert compute_largest_intensities(model, np.array([6.0, 10.0])) == {"q": pytest.approx(2.0)}
 
 
 def test_states_and_bands_are_those_of_statsmodels_smoother():
@@ -150,6 +168,12 @@ def test_what_pushes_is_told_with_its_size():
     # The force in N that the intensity stands for: M q / sqrt(h).
     size = found.prediction.process_noise["v"] / np.sqrt(PERIOD)
     assert values["sizes"] == [{"size": pytest.approx(size), "unit": "N"}] and values["period"] == pytest.approx(0.1)
+
+
+def test_innovations_that_are_correlated_are_said_with_what_they_cost():
+    found = fit(MASS.with_process_noise(v=INTENSITY), record(3, intensity=INTENSITY, rho=0.8))
+    correlated = find(found.findings, EstimationCode.INNOVATIONS_CORRELATED)
+    assert correlated.values == {"inflation": pytest.approx(np.nanmax(list(found.uncertainty.inflation.values())))}
 
 
 def test_the_likelihood_stays_bounded_where_a_sensor_could_be_perfect():

@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit, simulate
+from greybox.estimation.transcription.preparation import prepare_problem
 
 NOISE = 1e-3
 TRUTH = {"J": 1.5e-4, "b": 1.5e-4, "Fc": 0.015}
@@ -78,10 +79,9 @@ def coast(w0: float, b: float, level: float, t: np.ndarray) -> np.ndarray:
     return way * ((speed + level / b) * -np.expm1(-b * ts) / b - level / b * ts)
 
 
-@pytest.mark.parametrize("w0", [3.0, -8.0])
-@pytest.mark.parametrize("begin", [{"b": 0.5, "Fc": 0.5}, {"b": 0.5}], ids=["begun", "not begun"])
-def test_a_wheel_that_coasts_ends_at_the_optimum_of_its_closed_form(w0, begin):
-    wheel = Model(
+def wheel() -> Model:
+    """A wheel of unit inertia, of which the angle is measured."""
+    return Model(
         "wheel",
         states=[State("w", "rad/s", role="velocity"), State("th", "rad", role="displacement")],
         inputs=[Input("u", "N*m", role="drive")],
@@ -95,9 +95,28 @@ def test_a_wheel_that_coasts_ends_at_the_optimum_of_its_closed_form(w0, begin):
             Balance("angle", "rad/s", 1, "th", rate=x.w),
         ],
     ) + effect("coulomb_friction")
-    t, noise = np.arange(500) * 0.01, 0.01
-    th = coast(w0, 0.1, 1.5, t) + noise * np.random.default_rng(5).standard_normal(len(t))
-    found = fit(wheel.start(**begin), Experiment("coasts", t, {"u": np.zeros(len(t))}, {"th": th}), noise={"th": noise})
+
+
+COASTING, COASTING_NOISE = np.arange(500) * 0.01, 0.01
+
+
+def coasts(w0: float) -> Experiment:
+    th = coast(w0, 0.1, 1.5, COASTING) + COASTING_NOISE * np.random.default_rng(5).standard_normal(len(COASTING))
+    return Experiment("coasts", COASTING, {"u": np.zeros(len(COASTING))}, {"th": th})
+
+
+@pytest.mark.parametrize("w0", [3.0, -8.0])
+def test_the_first_guess_of_a_velocity_that_no_reading_tells_is_that_of_the_motion(w0):
+    problem = prepare_problem(wheel().start(b=0.1, Fc=1.5), coasts(w0), {"th": COASTING_NOISE}, FitOptions())
+    assert problem.variables.initial.guess[0, 0] == pytest.approx(w0, rel=0.1)
+
+
+@pytest.mark.parametrize("w0", [3.0, -8.0])
+@pytest.mark.parametrize("begin", [{"b": 0.5, "Fc": 0.5}, {"b": 0.5}], ids=["begun", "not begun"])
+def test_a_wheel_that_coasts_ends_at_the_optimum_of_its_closed_form(w0, begin):
+    t, noise, record = COASTING, COASTING_NOISE, coasts(w0)
+    th = record.outputs["th"]
+    found = fit(wheel().start(**begin), record, noise={"th": noise})
     oracle = least_squares(
         lambda z: (coast(z[0], z[1], z[2], t) + z[3] - th) / noise, [w0, 0.1, 1.5, 0.0], x_scale="jac"
     )

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from scipy.linalg import cholesky, solve_triangular, toeplitz
 from scipy.signal import lfilter
+from scipy.stats import f as variance_ratio
 
 from greybox.base.errors import DataError, ModelError
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression, BoundDirection, NoiseSource, fit_autoregression, join_series
 from greybox.data.noise.noise_sources import estimate_noise
-from greybox.data.noise.repeats import deviations_from_mean, find_repetition
+from greybox.data.noise.repeats import LOUD_CHANCE, _leave_out_moving, deviations_from_mean, find_repetition
 from greybox.data.noise.spectrum import estimate_noise_from_differences
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
@@ -284,3 +285,21 @@ def test_a_quiet_record_of_another_pace_tells_the_level_but_not_the_colour():
     slower = replace(quiet, time=2 * quiet.time)
     told = estimate_noise(TRUTH, [noisy(clean_record(), rng)], {}, slower)
     assert set(told.sources.values()) == {NoiseSource.QUIET_RECORD} and not told.coloured
+
+
+def test_a_piece_is_louder_by_more_than_chance_where_its_colour_is_allowed_for():
+    """Mean squares of an AR(1) with coefficient r vary as those of n (1 - r^2) / (1 + r^2) independent samples (Bartlett)."""
+    rng, r, rows, count = np.random.default_rng(1), 0.6, 400, 8
+    pieces = [lfilter([1.0], [1.0, -r], rng.normal(size=rows + 100))[100:] for _ in range(count)]
+    pieces = [piece - piece.mean() for piece in pieces]
+    rest = (count - 1) * (rows - 1)
+    square = sum(float(piece @ piece) for piece in pieces[1:]) / rest
+    white, coloured = (
+        variance_ratio.isf(LOUD_CHANCE / count, (rows - 1) / c, rest / c) for c in (1.0, (1 + r**2) / (1 - r**2))
+    )
+
+    def count_kept(ratio):
+        first = pieces[0] * np.sqrt(ratio * square * (rows - 1) / float(pieces[0] @ pieces[0]))
+        return len(_leave_out_moving([first, *pieces[1:]], 0.0))
+
+    assert count_kept((white + coloured) / 2) == count and count_kept(1.05 * coloured) == count - 1

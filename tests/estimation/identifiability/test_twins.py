@@ -55,6 +55,12 @@ def test_flip_flop_has_the_volume_change_with_the_rates():
     assert there == pytest.approx(here, abs=1e-6)
 
 
+def test_what_moves_with_rates_that_are_nearly_equal_belongs_to_them():
+    """They are asked where they are apart: the volume there is another one."""
+    (twin,) = twins_of(absorption(0.40, 0.42, 0.37))
+    assert twin.values == pytest.approx({"ka": 0.42, "ke": 0.40, "V": 0.37 * 0.42 / 0.40}, rel=1e-6)
+
+
 def test_a_sensor_or_a_bound_decides():
     assert twins_of(absorption(1.8, 0.055, 0.37, depot_measured=True)) == []
     assert twins_of(absorption(1.8, 0.055, 0.37).bound(ka=(0.1, 50.0))) == []

@@ -8,8 +8,16 @@ import numpy as np
 import pytest
 
 from greybox.estimation.optim import ipopt as ipopt_dense
+from greybox.estimation.optim.gauss_newton import run_gauss_newton
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import MinimisationPolicy, Termination, TerminationStatus
+from greybox.estimation.optim.minimisation import (
+    DEFAULT_POLICY,
+    GaussNewtonPolicy,
+    Minimisation,
+    MinimisationPolicy,
+    Termination,
+    TerminationStatus,
+)
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 
@@ -291,3 +299,14 @@ def test_damped_steps_go_no_farther_than_they_reach():
     tried.clear()
     minimise(evaluate, np.zeros(1), -bound, bound, method="gauss_newton", iterations=3)
     assert np.abs(np.diff(tried)).max() > 2.0
+
+
+def test_one_step_that_gains_little_among_others_is_no_kink():
+    """Each step promises 50 of the cost; the second gains 1, and the others all."""
+    costs = {0: 100.0, 10: 50.0, 20: 49.0, 30: 0.0}
+    search = Minimisation(
+        lambda z: QuadraticModel(costs[round(z[0])], np.array([-10.0]), np.eye(1)), 1.0, None, None, DEFAULT_POLICY
+    )
+    search(np.zeros(1))
+    assert run_gauss_newton(search, *free(1), GaussNewtonPolicy(max_kink_steps=2), steps=3)
+    assert (search.status, search.best_cost) == (TerminationStatus.ITERATION_LIMIT, 0.0)

@@ -1,6 +1,7 @@
 """The one loop that makes the integration step smaller: a search and a judge in, the path of steps out."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,14 @@ from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions, StepRefinementPolicy
 from greybox.estimation.transcription.preparation import prepare_problem
 from greybox.estimation.transcription.problem import EstimationProblem, Solution
-from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
+from greybox.estimation.transcription.shooting_cost import Evaluation
+from greybox.estimation.transcription.single_shooting import (
+    MISFIT_SHARE,
+    STEP_REFINEMENT_NOISE_SHARE,
+    is_too_coarse,
+    refine_step,
+    solve_with_refined_steps,
+)
 from tests.oracles.independent import solved_record
 from tests.support.oscillator import oscillator
 
@@ -94,3 +102,19 @@ def test_an_exact_step_has_no_error(problem):
     finer, error = refine_step(replace(solved(problem), problem=exact), FitOptions())
     assert finer is None
     assert error == 0.0
+
+
+@pytest.mark.parametrize(
+    ("ratio", "allowed"),
+    [(0.01, STEP_REFINEMENT_NOISE_SHARE * 0.01), (1.0, STEP_REFINEMENT_NOISE_SHARE), (100.0, MISFIT_SHARE * 100.0)],
+)
+def test_an_error_matters_beside_the_noise_or_a_misfit_far_above_or_below_it(ratio, allowed):
+    rows = 5000
+    record = SimpleNamespace(h=np.ones(rows), y=np.random.default_rng(0).normal(size=(rows, 1)))
+    problem = SimpleNamespace(
+        step=SimpleNamespace(substeps=1, adaptive=None), records=[record], noise=SimpleNamespace(std=np.ones(1))
+    )
+    squares, counts = np.array([ratio**2 * rows]), np.array([rows])
+    evaluation = Evaluation(float(squares[0]), np.zeros(1), np.eye(1), squares, counts)
+    errors = [np.array([share * allowed]) for share in (0.99, 1.01)]
+    assert [is_too_coarse(error, problem, evaluation) for error in errors] == [False, True]

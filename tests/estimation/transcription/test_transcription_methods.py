@@ -12,8 +12,8 @@ from greybox.base.errors import ModelError
 from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.ipopt import solve_sparse
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.options import FitOptions
-from greybox.estimation.transcription.collocation import Collocation
+from greybox.estimation.options import FitOptions, Transcription
+from greybox.estimation.transcription.collocation import Collocation, solve_collocation
 from greybox.estimation.transcription.eliminated_states import ProjectedShooting
 from greybox.estimation.transcription.multiple_shooting import MultipleShooting
 from greybox.estimation.transcription.preparation import prepare_problem
@@ -26,7 +26,7 @@ from greybox.estimation.transcription.segments import (
     initialise_without_continuity,
     split_into_arcs,
 )
-from greybox.estimation.transcription.select import estimate_error_growth, propose_transcription
+from greybox.estimation.transcription.select import TranscriptionChoice, estimate_error_growth, propose_transcription
 from greybox.model.balance import Balance
 from greybox.model.effects.catalogue import effect
 from greybox.model.model import Model
@@ -313,6 +313,15 @@ def test_states_keep_their_physical_bounds_in_collocation():
     assert (given["start"][len(p.variables.which) :] >= 0).all()
     outcome = solve_sparse(**given)
     assert all((x >= low).all() for x in program.interpret(outcome.z).states)
+
+
+def test_who_goes_on_from_collocation_has_steps_as_fine_as_its_points():
+    model = oscillator("duffing", 0.3, 4.0, 6.0, 2.0)
+    data = solved_record(model, np.sin(np.arange(60) * 0.3), np.arange(60) * 0.1, [0.3, 0.0])
+    problem = prepare_problem(model, data, {"x": 1e-3}, FitOptions(method="rk4", substeps=1))
+    choice = TranscriptionChoice(Transcription("collocation-radau"), None, problem)
+    solution = solve_collocation(choice, FitOptions(substeps=2))
+    assert solution.problem.step.substeps >= 3 * 2
 
 
 def test_collocation_refuses_unknown_options_and_equations_that_stick(duffing):

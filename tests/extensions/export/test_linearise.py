@@ -13,8 +13,9 @@ from scipy.signal import cont2discrete
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError
+from greybox.base.numerics import SMALLEST_TYPICAL_SIZE
 from greybox.estimation.linear.exported_model import ExportFinding as Code
-from greybox.estimation.linear.operating_point import find_operating_point
+from greybox.estimation.linear.operating_point import ModelFunctions, find_operating_point
 from greybox.extensions.export.python_control import approximate_delays
 from greybox.simulation.simulate import simulate_twin
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance
@@ -304,6 +305,23 @@ def test_bad_names_and_numbers_come_in_one_message():
         gb.export.extract_channel(gb.linearise(micro_actuator), "y", "u")
     with pytest.raises(gb.errors.ModelError, match="cannot be exported; give a fit"):
         gb.linearise("fit.json")
+
+
+def test_a_state_at_zero_has_the_size_that_it_was_declared_with():
+    room = Model(
+        "room",
+        [State("T", "K", 300.0), State("x", "m")],
+        [Input("P", "K/s")],
+        [Output("T", "K")],
+        [Parameter("k", "1/s", 0.1), Parameter("g", "m/(K*s)", 1.0)],
+        lambda x, u, p: [
+            Balance("heat", "K/s", 1, "T", heater=u.P, loss=-p.k * x.T),
+            Balance("way", "m/s", 1, "x", bend=p.g * x.T),
+        ],
+    )
+    sizes = [ModelFunctions(room).sizes(np.array(z), np.array([0.1, 1.0])) for z in ([0, 0, 0], [-400.0, 2.0, 3.0])]
+    assert sizes[0].tolist() == [300.0, SMALLEST_TYPICAL_SIZE, SMALLEST_TYPICAL_SIZE]
+    assert sizes[1].tolist() == [400.0, 2.0, 3.0]
 
 
 def test_dry_friction_at_rest_is_left_out_and_named():

@@ -1,5 +1,7 @@
 """Discrete steps against analytic answers, another library and a fine-step independent solver."""
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from scipy.signal import cont2discrete
 
 from greybox import Balance, DryFriction, Effect, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError
+from greybox.simulation.integrators import discretisation
 from greybox.simulation.integrators.discretisation import choose_substeps, discretise
 from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.integrators.runge_kutta import rk4
@@ -155,6 +158,20 @@ def run(model, x0, u, h, substeps=1):
             x = step.advance(x, u[k], u[k], p, h / substeps).full().ravel()
         path.append(x)
     return np.array(path)
+
+
+def test_an_error_is_held_against_the_movement_from_the_first_row(monkeypatch):
+    """All of it lies in the first interval: an error of 1e-4 of it is allowed, and one of 1e-2 is not before it is a sixteenth."""
+
+    def settle(error):
+        def run(step, *_):
+            return np.where(np.arange(2000) > 0, 1.0 + error / step.substeps**4, 0.0)[:, None]
+
+        monkeypatch.setattr(discretisation, "run_step", run)
+        make = lambda substeps: SimpleNamespace(substeps=substeps)  # noqa: E731
+        return discretisation.refine_substeps(1e-3, make, 1, None, None, None, 1.0).substeps
+
+    assert [settle(error) for error in (1e-4, 1e-2)] == [1, 2]
 
 
 def test_a_block_slides_to_a_stop_where_theory_says_and_stays():

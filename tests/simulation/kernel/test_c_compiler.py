@@ -8,6 +8,7 @@ import sys
 import time
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -517,3 +518,12 @@ def test_the_time_of_a_compiler_is_that_of_an_idle_processor(monkeypatch):
     monkeypatch.setattr(os, "getloadavg", lambda: (0.1, 0.1, 0.1))
     with pytest.raises(compiling.CompilerBudgetError, match="took more than"):
         compiling.run_compiler(["sleep", "0.4"], timeout=0.1, is_background=True)
+
+
+@pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="the processor is described elsewhere")
+def test_a_processor_is_told_by_what_it_can_do():
+    lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
+    abilities = [
+        line.strip() for line in lines if line.partition(":")[0].strip().lower() in ("flags", "features", "isa")
+    ]
+    assert abilities and all(line in compiling.describe_machine().splitlines() for line in abilities)
