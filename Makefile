@@ -8,8 +8,9 @@ PYTHON ?= $(firstword $(foreach p,$(CANDIDATES),$(shell $(p) -c '$(NEW_ENOUGH)' 
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
-# What pip installs is compiled on all cores; pip itself takes one, for a third of its time.
-COMPILE := $(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true
+# What pip installs is compiled on all cores; pip itself takes one, for a third of its time. The tests of other programs are a quarter of it,
+# and nobody imports them.
+COMPILE := $(BIN)/python -m compileall -qq -j 0 -x 'site-packages/.*/tests?/' $(VENV)/lib || true
 WORKERS ?= 2
 ARGS ?=
 
@@ -25,8 +26,8 @@ demo: $(VENV)/.installed ## install greybox and run its demonstration
 	$(BIN)/greybox demo $(ARGS)
 
 # One thread for BLAS: the matrices are 4x4, and a thread pool costs a hundred times the arithmetic.
-test test-rest: export OMP_NUM_THREADS = 1
-test test-rest: export OPENBLAS_NUM_THREADS = 1
+test test-rest docs: export OMP_NUM_THREADS = 1
+test test-rest docs: export OPENBLAS_NUM_THREADS = 1
 # Hundreds of processes that tests start would each compile the sources anew where the environment forbids to keep what was compiled.
 unexport PYTHONDONTWRITEBYTECODE
 # A file's tests share what is dear (a fit, a search, a page in the browser that each goes on with): one worker has them all.
@@ -42,7 +43,9 @@ lint: $(VENV)/.installed-dev ## check style, format and types
 	$(BIN)/mypy
 
 docs: export NO_MKDOCS_2_WARNING = 1 # an advertisement
+# The studies of the gallery are most of the work, and each is a run by itself: all cores, five of them in a process, which imports for a second.
 docs: $(VENV)/.installed-dev ## build the documentation into site/, warnings are errors
+	@ls docs/gallery/*.md | xargs -n 5 -P $(WORKERS) $(BIN)/python docs/hooks.py
 	$(BIN)/python -m mkdocs build --strict $(ARGS)
 
 bench: export OMP_NUM_THREADS = 1

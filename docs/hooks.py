@@ -6,7 +6,7 @@ studies write into `studies/` join the navigation by themselves.
 
 The studies of the gallery are run: a build fails where their code fails or prints something else than they show. The picture of each
 is drawn from what its code has computed, by a line such as ``<!-- figure: fit -->`` with the name of a variable. A study is run once for
-each state of its page and of the library.
+each state of its page and of the library: ``python docs/hooks.py docs/gallery/end_stop.md`` runs one before the pages are built.
 """
 
 from __future__ import annotations
@@ -480,4 +480,8 @@ def rewrite_kept_pages() -> None:
 
 
 if __name__ == "__main__":
-    rewrite_kept_pages()
+    if sys.argv[1:]:
+        for study in sys.argv[1:]:
+            run_study(Path(study).resolve())
+    else:
+        rewrite_kept_pages()
