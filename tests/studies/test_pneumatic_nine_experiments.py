@@ -40,8 +40,15 @@ def test_the_stand_in_sticks_and_slides_to_the_square_of_its_step():
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("measured", ["position", "pressures too"])
-@pytest.mark.parametrize("noisy", [False, True], ids=["clean", "noisy"])
+@pytest.mark.parametrize(
+    ("noisy", "measured"),
+    [
+        pytest.param(False, "position", marks=pytest.mark.slow),
+        (False, "pressures too"),
+        (True, "position"),
+        pytest.param(True, "pressures too", marks=pytest.mark.slow),
+    ],
+)
 def test_constants_come_back_from_short_records(truth, noisy, measured):
     records = study.experiments(truth, duration=10.0, repeats=1, noisy=noisy, inputs=("u1", "u2"))
     found = study.recovered(truth, study.position_only(records) if measured == "position" else records)

@@ -53,7 +53,7 @@ def run(*words: str) -> str:
 
 @pytest.mark.rest
 def test_the_twin_hides_an_effect_from_the_model(plant: str) -> None:
-    shorten_records(1500)
+    shorten_records(500)
     runpy.run_path("twin.py")
     run("fit", "study.toml", "--no-report")
     result = json.loads(Path("out/fit.json").read_text())
