@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -142,17 +142,20 @@ def _put_usual_first(answer: SearchAnswer) -> SearchAnswer:
     left = max((c.left for c in answer.weighed), default=1.0)
     is_open = may_leave_more(chosen, left, is_level_known(answer.problem.noise_model))
     refused: set[tuple[str, ...]] = set()
+    judged = _JudgedSets(answer)
     while True:
         preference = prefer_usual(draws, chosen, search.problem.model, grades, is_open, refused)
         if preference is None:
             return answer
         if preference.finding is None:
             return replace(answer, question=preference.question)
-        preferred = _hand_over(answer, preference.candidate)
         # On the table its constants follow the records that judge: what does no better there with its own gives way to the next.
-        if _holds_where_judged(preferred):
+        if judged.holds(preference.candidate):
             break
         refused.add(preference.candidate.names)
+    preferred = _hand_over(answer, preference.candidate)
+    if key_of(preferred.candidate) != key_of(preference.candidate):
+        return answer
     names = set(answer.grounds.names or ()) & set(preferred.candidate.names)
     # Each name that is said is weighed, however seldom it wins.
     sites = answer.location.sets if answer.location else ()
@@ -166,13 +169,40 @@ def _put_usual_first(answer: SearchAnswer) -> SearchAnswer:
     return replace(preferred, usual=preference.finding, question=preference.question)
 
 
-def _holds_where_judged(answer: SearchAnswer) -> bool:
-    """Whether an answer does better than the plain model on the records that judge, be it with constants of their first halves too."""
-    if judge_against_plain(answer.base, answer.best, answer.validation.uncounted):
-        return True
-    learn = partial(_learn_from_validation, answer)
-    learnt = answer.problem.failures.attempt(SearchStage.HOLDOUT, answer.candidate.effects, learn, None)
-    return learnt is not None and bool(judge_against_plain(learnt.base, learnt.best, learnt.validation.uncounted))
+@dataclass(frozen=True)
+class _JudgedSets:
+    """Whether sets of the table do better than the plain model on the records that judge an answer."""
+
+    answer: SearchAnswer
+
+    def holds(self, candidate: FittedCandidate) -> bool:
+        """Whether a set does so with the constants of the fitted records, or with those of the first halves of the judging ones too."""
+        search = self.answer.search
+        if self._is_better(search.table.scores, search.baseline, candidate):
+            return True
+        problem, plain = self._wider.problem, self._plain
+        learnt = problem.refit_best(candidate.model, [candidate.model.values, problem.model.values])
+        return plain is not None and learnt is not None and self._is_better(self._wider, plain, learnt)
+
+    def _is_better(self, scores: HoldoutScores, plain: FittedCandidate, candidate: FittedCandidate) -> bool:
+        of_plain, run = scores.run(plain), scores.run(candidate)
+        if of_plain is None or run is None:
+            return False
+        before, after = (replace(self.answer.base, validation=each) for each in (of_plain, run))
+        return bool(judge_against_plain(before, after, scores.validation.uncounted))
+
+    @cached_property
+    def _wider(self) -> HoldoutScores:
+        """The first halves of the records that judge with those that were fitted; the second halves judge."""
+        first_halves, second_halves = self.answer.validation.halve()
+        problem = self.answer.search.problem
+        experiments = (*problem.experiments, *first_halves)
+        return HoldoutScores(replace(problem, noise=problem.noise_model, experiments=experiments), second_halves)
+
+    @cached_property
+    def _plain(self) -> FittedCandidate | None:
+        plain, problem = self.answer.search.baseline, self._wider.problem
+        return problem.refit_best(plain.model, [plain.model.values, problem.model.values])
 
 
 def may_leave_more(chosen: FittedCandidate, left: float, is_noise_known: bool) -> bool:

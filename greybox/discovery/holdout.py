@@ -17,16 +17,17 @@ from greybox.base.numerics import SAME_ERROR, TINY
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import BoundDirection, NoiseModel, fit_autoregression, join_series
 from greybox.discovery.execution import SearchStage
-from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate, with_initial_states
 from greybox.estimation.errors import errors_by_block
 from greybox.estimation.fit import fit as estimate
 from greybox.estimation.optim.quadratic_model import QuadraticModel
-from greybox.estimation.options import FitOptions
+from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import FitNoise, Validation
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.validate import validate
+from greybox.estimation.validate import follow_records, validate
 from greybox.model.model import Model
+from greybox.simulation.plant import PlantModel
 
 # Errors of models in blocks of the validation records: by how much one model does worse than another, and whether that is chance.
 
@@ -105,13 +106,10 @@ def adapt_to_records(
     AdaptedRun or None
         None where the model cannot be run after the step.
     """
-    prepared = problem.prepare(candidate.model, tuple(experiments))
-    if candidate.problem.step.substeps and not prepared.step.per_interval:
-        prepared = prepared.with_substeps(candidate.problem.step.substeps)
-    names = prepared.model.system.state_names
+    names = candidate.model.system.state_names
+    prepared = problem.prepare_fitted(candidate, tuple(experiments), begun=names)
     guess = np.array([[trace.initial_state[name] for name in names] for trace in run.traces])
-    variables = prepared.variables.start_at(candidate.model.values)
-    variables = replace(variables, initial=replace(variables.initial, guess=guess))
+    variables = replace(prepared.variables, initial=replace(prepared.variables.initial, guess=guess))
     model = prepared.shooting(variables).evaluate(variables.here)
     if not (model.is_finite and len(variables.which) == len(candidate.variables.which)):
         return None
@@ -379,20 +377,35 @@ def estimated_initial_states(candidate: FittedCandidate) -> list[dict[str, float
 
 @dataclass
 class HoldoutScores:
-    """Candidates on the validation records; each is run there once."""
+    """Candidates on the validation records; each is run there once, all but the first from where that begins."""
 
     problem: DiscoveryProblem
     validation: ValidationSet
     _runs: dict[tuple[Any, ...], Validation | None] = field(init=False, default_factory=dict)
+    _begun: tuple[Mapping[str, Sequence[float]], list[int]] | None = field(init=False, default=None)
     _adapted: dict[tuple[Any, ...], AdaptedRun | None] = field(init=False, default_factory=dict)
 
     def run(self, candidate: FittedCandidate) -> Validation | None:
         """The candidate's free run over the records; None where it fails there."""
         key = candidate.key
         if key not in self._runs:
-            run = partial(self.validation.run, candidate.model, self.problem.noise_std, self.problem.run_options)
+            run = partial(self._run, candidate)
             self._runs[key] = self.problem.failures.attempt(SearchStage.HOLDOUT, candidate.effects, run, None)
         return self._runs[key]
+
+    def _run(self, candidate: FittedCandidate) -> Validation:
+        problem, records, options = self.problem, self.validation.records, self.problem.run_options
+        is_free = options.transcription == Transcription.SINGLE and not isinstance(candidate.model, PlantModel)
+        # Of a plant that no free run follows, and of one from outside, a run is more than its initial states.
+        if not is_free or self.validation.beginning:
+            return self.validation.run(candidate.model, problem.noise_std, options)
+        guess, least = self._begun or ({}, [self.validation.skip] * len(records))
+        prepared = with_initial_states(problem.prepare_fitted(candidate, records, begun=guess), guess)
+        run, rows = follow_records(prepared, options, self.validation.skip, least)
+        if self._begun is None:
+            names = candidate.model.system.state_names
+            self._begun = {name: [t.initial_state[name] for t in run.traces] for name in names}, rows
+        return run
 
     def adapt(self, candidate: FittedCandidate) -> AdaptedRun | None:
         """Its run on the counted rows once constants and first states moved within their uncertainty; None where it fails.

@@ -258,18 +258,28 @@ class DiscoveryProblem:
         experiments: tuple[Experiment, ...] | None = None,
         most_substeps: int = 0,
         begun: Collection[str] = (),
+        like: EstimationProblem | None = None,
     ) -> EstimationProblem:
         """The estimation problem of ``model`` on the records (or on others); the noise is that of the baseline.
 
-        A sample has ``most_substeps`` at most (0: as many as the options of the fits allow). Who asks sets the first guess of the states
-        in ``begun``.
+        A sample has ``most_substeps`` at most (0: as many as the options of the fits allow), or the steps of the problem ``like``. Who
+        asks sets the first guess of the states in ``begun``.
         """
         known = self.noise if model is self.model or isinstance(self.noise, NoiseModel) else self._baseline_noise
         options = self.options.integration
         if most_substeps:
             coarse = replace(options.policy.discretisation, max_substeps=most_substeps)
             options = replace(options, policy=replace(options.policy, discretisation=coarse))
+        if like is not None and not like.step.per_interval:
+            options = replace(options, method=like.method, substeps=like.step.substeps)
         return prepare_problem(model, experiments or self.experiments, known, options, quiet=self.quiet, begun=begun)
+
+    def prepare_fitted(
+        self, candidate: FittedCandidate, experiments: tuple[Experiment, ...], begun: Collection[str] = ()
+    ) -> EstimationProblem:
+        """The problem of a candidate on other records, with its constants and its step; ``begun`` as in `prepare`."""
+        prepared = self.prepare(candidate.model, experiments, begun=begun, like=candidate.problem)
+        return replace(prepared, variables=prepared.variables.start_at(candidate.model.values))
 
     @cached_property
     def _most_substeps(self) -> int:
@@ -281,11 +291,11 @@ class DiscoveryProblem:
     ) -> tuple[EstimationProblem, list[_Start]]:
         """The estimation problem of a candidate, and those of its starts from which it can be simulated, most promising first."""
         most = self._most_substeps
-        problem = _with_initial_states(self.prepare(model, most_substeps=most, begun=beginning), beginning)
+        problem = with_initial_states(self.prepare(model, most_substeps=most, begun=beginning), beginning)
         points = _rank_starts(problem, starts, self.refit_options)
         if not points and problem.step.substeps >= most:
             most *= UNSTABLE_FACTOR
-            problem = _with_initial_states(self.prepare(model, most_substeps=most, begun=beginning), beginning)
+            problem = with_initial_states(self.prepare(model, most_substeps=most, begun=beginning), beginning)
             points = _rank_starts(problem, starts, self.refit_options)
         return problem, points
 
@@ -400,7 +410,7 @@ class DiscoveryProblem:
 
     def _explain_failure(self, job: RefitJob) -> str:
         """Where and why the run of a model breaks off that cannot be simulated from any of its starts: of the first of them."""
-        problem = _with_initial_states(self.prepare(job.model, most_substeps=self._most_substeps), job.beginning)
+        problem = with_initial_states(self.prepare(job.model, most_substeps=self._most_substeps), job.beginning)
         start = next(iter(job.starts), {})
         variables = problem.variables.start_at(start)
         failed = problem.shooting(variables).evaluate(variables.here).failed
@@ -487,7 +497,7 @@ def _initial_states(candidate: FittedCandidate | None) -> dict[str, tuple[float,
     return dict(zip(candidate.model.system.state_names, map(tuple, columns), strict=True))
 
 
-def _with_initial_states(problem: EstimationProblem, values: Mapping[str, Sequence[float]]) -> EstimationProblem:
+def with_initial_states(problem: EstimationProblem, values: Mapping[str, Sequence[float]]) -> EstimationProblem:
     """The same problem with another first guess of some initial states."""
     guess = problem.variables.initial.guess.copy()
     for j, name in enumerate(problem.model.system.state_names):

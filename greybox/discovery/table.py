@@ -445,14 +445,11 @@ def linearise_set(scores: HoldoutScores, candidate: FittedCandidate, blocks: int
         return None
     judging, problem = scores.validation.records, scores.problem
     fitted = problem.experiments
-    prepared = problem.prepare(candidate.model, (*fitted, *judging)).with_plain_squares()
-    if candidate.problem.step.substeps and not prepared.step.per_interval:
-        prepared = prepared.with_substeps(candidate.problem.step.substeps)
-    names = prepared.model.system.state_names
+    names = candidate.model.system.state_names
+    prepared = problem.prepare_fitted(candidate, (*fitted, *judging), begun=names).with_plain_squares()
     begun = [[trace.initial_state[name] for name in names] for trace in run.traces]
     guess = np.vstack([candidate.variables.initial.guess, np.array(begun).reshape(len(judging), len(names))])
-    variables = prepared.variables.start_at(candidate.model.values)
-    variables = replace(variables, initial=replace(variables.initial, guess=guess))
+    variables = replace(prepared.variables, initial=replace(prepared.variables.initial, guess=guess))
     residuals, jacobians, counted, uncounted = [], [], [], scores.validation.uncounted
     for e, (residual, jacobian) in enumerate(prepared.shooting(variables).residuals(variables.here)):
         present = np.isfinite(residual)

@@ -279,7 +279,7 @@ class Predictor:
             problem = _prepare_known(given, experiment, filtered=filtered)
             # A filter forgets how it began; a free run carries its start along.
             if not filtered and problem.variables.initial.free.any():
-                problem = replace(problem, variables=determine_initial_states(problem, self.options))
+                problem = replace(problem, variables=determine_initial_states(problem, self.options)[0])
             return _refine(problem, self.options)
         states = model.system.state_names
         unknown = [n for n in initial if n not in states]

@@ -16,7 +16,7 @@ from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions, Hessian, Transcription, explain_unknown, resolve_options
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.preparation import begin_with_known_past, guess_initial_states, prepare_problem
-from greybox.estimation.transcription.problem import EstimationProblem, Solution
+from greybox.estimation.transcription.problem import EstimationProblem, Runs, Solution
 from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
@@ -44,20 +44,24 @@ def refine_integration(problem: EstimationProblem, options: FitOptions) -> Estim
     return solve_with_refined_steps(problem, evaluate, lambda s: refine_step(s, options), policy).problem
 
 
-def determine_initial_states(problem: EstimationProblem, options: FitOptions, least: int = 0) -> DecisionVector:
+def determine_initial_states(
+    problem: EstimationProblem, options: FitOptions, least: Sequence[int] = ()
+) -> tuple[DecisionVector, list[int]]:
     """The variables of ``problem``, whose constants are known, with initial states from so many first rows that these determine them.
 
-    Those are ``least`` rows, or 50, doubled until they do: a slow mode, or one that an output hardly shows, takes longer. The first
-    rows are fitted with the error that the model has there, ``r``; along a direction of which they hold the share ``s`` of the
-    information the run then errs by ``r' r / s`` at most. A longer stretch is fitted from the states of a shorter one that follows the
-    readings, so that a run which is sensitive to how it began is followed into the record rather than lost in it.
+    Those are the ``least`` rows of each record, or 50, doubled until they do: a slow mode, or one that an output hardly shows, takes
+    longer; how many they became is returned as well. The first rows are fitted with the error that the model has there, ``r``; along a
+    direction of which they hold the share ``s`` of the information the run then errs by ``r' r / s`` at most. A longer stretch is fitted
+    from the states of a shorter one that follows the readings, so that a run which is sensitive to how it began is followed into the
+    record rather than lost in it.
     """
-    rows = [min(least or FIRST_ROWS, _count_samples(r)) for r in problem.records]
+    least = least or [0] * len(problem.records)
+    rows = [min(few or FIRST_ROWS, _count_samples(r)) for few, r in zip(least, problem.records, strict=True)]
     while True:
         problem = replace(problem, variables=fit_first_rows(problem, rows, options))
         longer = _lengthen(problem, rows)
         if longer == rows:
-            return problem.variables
+            return problem.variables, rows
         rows = longer
 
 
@@ -211,10 +215,51 @@ def validate(
             variables = (
                 fit_first_rows(problem, [initial_rows] * len(problem.records), options)
                 if initial_rows
-                else determine_initial_states(problem, options, skip)
+                else determine_initial_states(problem, options, [skip] * len(problem.records))[0]
             )
 
         problem = refine_integration(replace(problem, variables=variables), options)
         runs = tuple(problem.shooting(variables).simulate(variables.here))
+    return _compare_with_records(problem, runs, skip, options)
+
+
+def follow_records(
+    problem: EstimationProblem, options: FitOptions, skip: int = 0, least: Sequence[int] = ()
+) -> tuple[result_parts.Validation, list[int]]:
+    """One of many models run freely over the records of ``problem`` from where it begins: its constants are held, its step stays as it is.
+
+    Parameters
+    ----------
+    problem
+        The records, and the model with its values and a first guess of how each record begins.
+    options
+        Options of the fit.
+    skip
+        Rows at the beginning of each record that the errors leave out.
+    least
+        Rows of each record from which the initial state is estimated at least; none takes the ``skip`` rows or the first 50.
+
+    Returns
+    -------
+    Validation, list of int
+        Misfit by output and the runs; from how many rows of each record the initial state was estimated.
+    """
+    refinement = replace(options.policy.step_refinement, halvings=0)
+    options = replace(options, thorough=False, policy=replace(options.policy, step_refinement=refinement))
+    model, initial = problem.model, problem.variables.initial
+    # The kernel of the fit runs them too: one of a model without free constants would be made anew.
+    conditions = [e.conditions for e in problem.experiments] if any(e.conditions for e in problem.experiments) else ()
+    held = DecisionVector.of(model.fix(*model.values), initial, conditions)
+    problem, rows = replace(problem, variables=held), list(least)
+    if initial.free.any():
+        variables, rows = determine_initial_states(problem, options, least or [skip] * len(problem.records))
+        problem = replace(problem, variables=variables)
+    runs = tuple(problem.shooting().simulate(problem.variables.here))
+    return _compare_with_records(problem, runs, skip, options), rows
+
+
+def _compare_with_records(
+    problem: EstimationProblem, runs: Runs, skip: int, options: FitOptions
+) -> result_parts.Validation:
     traces = optimum.make_traces(problem, runs)
     return result_parts.Validation(errors.compute_misfits(problem, traces, skip, options.to_loss()), traces)

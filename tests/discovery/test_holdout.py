@@ -50,7 +50,7 @@ def test_block_errors_leave_the_first_rows_out():
 
 def test_a_model_that_fails_on_the_validation_records_is_out_with_its_reason():
     failures = FailureLog()
-    problem = SimpleNamespace(failures=failures, noise_std={}, run_options=None)
+    problem = SimpleNamespace(failures=failures, noise_std={}, run_options=FitOptions())
 
     class Failing(ValidationSet):
         def run(self, *_):
@@ -64,9 +64,14 @@ def test_a_model_that_fails_on_the_validation_records_is_out_with_its_reason():
 
 def test_a_bug_of_the_library_ends_the_run():
     """It must not pass for a model that fails, which would turn a name into *unknown*."""
-    problem = SimpleNamespace(failures=FailureLog(), noise_std={}, run_options=None)
-    with pytest.raises(TypeError):
-        HoldoutScores(problem, ValidationSet(("no record",))).run(SELECTED)
+    problem = SimpleNamespace(failures=FailureLog(), noise_std={}, run_options=FitOptions())
+
+    class Broken(ValidationSet):
+        def run(self, *_):
+            raise TypeError("on purpose")
+
+    with pytest.raises(TypeError, match="on purpose"):
+        HoldoutScores(problem, Broken(("no record",))).run(SELECTED)
 
 
 def test_the_beginning_of_a_record_does_not_count():
