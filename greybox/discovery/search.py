@@ -147,6 +147,8 @@ class EffectSearch:
     _screened: set[tuple[SetKey, str]] = field(init=False, default_factory=set)
     _related: set[tuple[SetKey, str, str]] = field(init=False, default_factory=set)
     _shapes: dict[str, Sequence[Mapping[str, float]]] = field(init=False, default_factory=dict)
+    # The same search among the usual effects alone: begun once, it goes on with what came to the table since.
+    _usual: EffectSearch | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         self.baseline = self.problem.baseline
@@ -255,8 +257,11 @@ class EffectSearch:
             self.problem.executor.skipped += len(left)
             return []
         self._screened |= {(key_of(base), e.name) for e in left}
+        if self.left_out:
+            # The usual effects alone are searched for the sets that nobody has fitted.
+            left = [e for e in left if self.table.get({*base.effects, e.name}) is None]
         cost, promises = self.promise(base, left, self._shapes)
-        if not base.effects:
+        if not (base.effects or self.left_out):
             self._shapes = {p.effect.name: p.shapes[:KEPT_SHAPES] for p in promises}
         return [(base, promise, cost - promise.decrease) for promise in promises]
 
@@ -444,16 +449,15 @@ class EffectSearch:
 
     def add_usual(self) -> None:
         """The same search among the effects that such rigs usually have alone: a set that nobody fitted cannot come first."""
-        expected = set(self.expected)
-        candidates = [e for e in self.candidates if e.name in expected]
-        left_out = frozenset(e.name for e in self.candidates) - expected
-        usual = replace(self, candidates=candidates, left_out=left_out, on_message=lambda _: None)
-        usual.baseline = self.baseline
-        # Each of them is on the table already.
-        usual._screened = {(key_of(self.baseline), name) for name in expected if self.table.get({name})}
-        usual._shapes = self._shapes
-        if usual.candidates:
-            usual.run()
+        if self._usual is None:
+            expected = set(self.expected)
+            candidates = [e for e in self.candidates if e.name in expected]
+            left_out = frozenset(e.name for e in self.candidates) - expected
+            self._usual = replace(self, candidates=candidates, left_out=left_out, on_message=lambda _: None)
+            self._usual._shapes = self._shapes
+        self._usual.baseline = self.baseline
+        if self._usual.candidates:
+            self._usual.run()
 
     # Families and steps
 
