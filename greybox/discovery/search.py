@@ -359,12 +359,14 @@ class EffectSearch:
         """Looks, carried on where they fall or may come near the best, put on the table."""
         jobs = [one for one in planned if one is not None]
         looks = self.problem.refit_all([job for _, job in jobs])
-        # It contains the smaller set: from where that ended, the effect absent, it cannot do worse.
+        # It contains the smaller set: from where that ended, the effect absent, it cannot do worse. A look that promises to get there goes
+        # on beside it: from constants at their bounds, where the smaller set may have ended, nothing leads away.
         behind = [k for k, fit in enumerate(looks) if fit is None or fit.cost > jobs[k][0].cost]
         again = self.problem.refit_all([self._plan_absent(*jobs[k]) for k in behind])
-        for k, fit in zip(behind, again, strict=True):
-            looks[k] = min((f for f in (looks[k], fit) if f is not None), key=lambda f: f.cost, default=None)
-        fits = [fit for fit in looks if fit is not None]
+        for k in behind:
+            fit = looks[k]
+            looks[k] = None if fit is None or fit.cost - fit.promised_decrease > jobs[k][0].cost else fit
+        fits = [fit for fit in (*looks, *again) if fit is not None]
         near = NEAR_COST * min((fit.cost for fit in (*fits, *self._best(1))), default=0.0)
         falling = [
             fit
