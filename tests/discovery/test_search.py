@@ -1,6 +1,7 @@
 """The loop of a search on records of a mass on a spring: what it tries, what it leaves alone, and that what wins is the answer."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -99,3 +100,35 @@ def test_a_search_without_time_tries_nothing(monkeypatch):
     monkeypatch.setattr(type(problem.executor), "is_late", property(lambda refits: True))
     assert loop.run() is loop.baseline
     assert not loop.screened and problem.executor.skipped >= 1
+
+
+class Fits:
+    """Refits of sets whose ends are known: those of a look, from the absent effect, and of a look that goes on."""
+
+    def __init__(self, **ends):
+        self.ends, self.carried = ends, []
+
+    def refit_all(self, jobs):
+        return [self.ends[job] for job in jobs if job is not None]
+
+    def plan_refit(self, model, *_, **__):
+        self.carried.append(model.name)
+        return "carried"
+
+
+def ended(name, cost, promised=0.0):
+    return SimpleNamespace(
+        name=name, effects=(name,), cost=cost, promised_decrease=promised, model=SimpleNamespace(name=name, values={})
+    )
+
+
+@pytest.mark.parametrize(("promised", "goes_on"), [(60.0, True), (30.0, False)])
+def test_a_look_above_the_smaller_set_goes_on_where_it_promises_to_pass_it(promised, goes_on):
+    """The smaller set may have ended with its constants at their bounds: from there, the effect absent, nothing leads away."""
+    fits = Fits(look=ended("look", 150.0, promised), absent=ended("absent", 100.0), carried=ended("carried", 5.0))
+    added = []
+    table = SimpleNamespace(add=lambda *sets: added.extend(each.name for each in sets), candidates=())
+    loop = SimpleNamespace(problem=fits, table=table, _best=lambda _: [], _plan_absent=lambda *_: "absent")
+    EffectSearch.add_refits(loop, [(SimpleNamespace(cost=100.0), "look")])
+    assert ("look" in fits.carried) == goes_on and ("carried" in added) == goes_on
+    assert "absent" in added
