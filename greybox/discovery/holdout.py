@@ -422,6 +422,9 @@ class HoldoutScores:
         if run is None:
             return None
         free_run = AdaptedRun(self._free_residuals(candidate))
+        # A run that is lost before the first row that counts leaves nothing to correct.
+        if not any(np.isfinite(np.concatenate(r)).any() for r in free_run.residuals.values()):
+            return None
         step = partial(adapt_to_records, self.problem, candidate, records, run)
         adapted = self.problem.failures.attempt(SearchStage.HOLDOUT, candidate.effects, step, None)
         if adapted is None:

@@ -9,7 +9,15 @@ import pytest
 import greybox.discovery.holdout as holdout
 from greybox.base.errors import FitError
 from greybox.discovery.execution import FailureLog, SearchStage
-from greybox.discovery.holdout import HoldoutError, HoldoutScores, ValidationSet, block_errors, finish_fit, worst_output
+from greybox.discovery.holdout import (
+    HoldoutError,
+    HoldoutScores,
+    ValidationSet,
+    block_errors,
+    finish_fit,
+    measure_structure,
+    worst_output,
+)
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result_parts import Misfit, Trace, Validation
 from tests.support.fake_candidates import candidate
@@ -72,6 +80,12 @@ def test_a_bug_of_the_library_ends_the_run():
 
     with pytest.raises(TypeError, match="on purpose"):
         HoldoutScores(problem, Broken(("no record",))).run(SELECTED)
+
+
+def test_a_run_that_is_lost_before_its_first_row_follows_nothing():
+    scores = FakeRuns({("s",): np.full(40, np.nan)}, ValidationSet(("a record",), skip=2))
+    assert scores.adapt(SELECTED) is None and scores.measure_drift(SELECTED) == {}
+    assert measure_structure(scores, SELECTED, only_visible=True) == 1.0
 
 
 def test_the_beginning_of_a_record_does_not_count():

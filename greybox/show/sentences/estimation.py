@@ -89,6 +89,16 @@ def write_status(report: SolverReport) -> str:
 LISTED_CONSTANTS = 6
 
 
+# Intervals that are wider by less than this factor are as wide: a reader would see no difference.
+WIDER = 1.05
+
+
+def _write_width(finding: Finding, white: str) -> str:
+    """`` and are up to 3 times as wide as for white noise``; nothing where they are as wide."""
+    inflation = finding.values["inflation"]
+    return f" and are up to {inflation:.2g} times as wide as for white {white}" if inflation >= WIDER else ""
+
+
 def _write_open(finding: Finding) -> str:
     """``Kf, La, Ra can change together ...: fix one of them``, and the formulas of theirs that are determined."""
     v = finding.values
@@ -477,10 +487,14 @@ register(
         EstimationCode.MISFIT_ABOVE_NOISE: "the misfit exceeds the noise: the model is incomplete, and its parameters may be biased",
         EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE: "the misfit exceeds the noise estimated from differences of the records: the model"
         " is incomplete, or the noise is coloured (a quiet record shows which)",
-        EstimationCode.RESIDUAL_CORRELATED: "the residual of {outputs:list} is correlated from sample to sample: the intervals allow for"
-        " it and are up to {inflation:.2g} times as wide as for white noise",
-        EstimationCode.INNOVATIONS_CORRELATED: "the innovations are correlated from sample to sample: the model or its noise model is"
-        " incomplete; the intervals allow for it and are up to {inflation:.2g} times as wide as for white innovations",
+        EstimationCode.RESIDUAL_CORRELATED: lambda f: (
+            f"the residual of {wording.join_names(f.values['outputs'])} is correlated from sample to sample: the intervals allow for it"
+            f"{_write_width(f, 'noise')}"
+        ),
+        EstimationCode.INNOVATIONS_CORRELATED: lambda f: (
+            "the innovations are correlated from sample to sample: the model or its noise model is incomplete; the intervals allow for it"
+            f"{_write_width(f, 'innovations')}"
+        ),
         EstimationCode.INTEGRATION_TOO_COARSE: "the integration error exceeds a tenth of the noise in {outputs:list}: increase the number"
         " of substeps",
         EstimationCode.RELATION_NOT_MET: "the balance {subject} stores nothing, and its terms miss zero by {share:.2g} of the largest:"

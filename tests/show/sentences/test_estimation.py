@@ -330,6 +330,12 @@ GOLDEN = [
         " for it and are up to 3 times as wide as for white innovations",
     ),
     (
+        "innovations_correlated",
+        "",
+        {"inflation": 1.02},
+        "the innovations are correlated from sample to sample: the model or its noise model is incomplete; the intervals allow for it",
+    ),
+    (
         "integration_too_coarse",
         "",
         {"outputs": ["x", "i"]},
