@@ -180,29 +180,37 @@ class _JudgedSets:
         search = self.answer.search
         if self._is_better(search.table.scores, search.baseline, candidate):
             return True
-        problem, plain = self._wider.problem, self._plain
-        learnt = problem.refit_best(candidate.model, [candidate.model.values, problem.model.values])
-        return plain is not None and learnt is not None and self._is_better(self._wider, plain, learnt)
+        learnt = None if self._plain is None else _refit_as_it_stands(self._wider.problem, candidate)
+        return self._plain is not None and learnt is not None and self._is_better(self._wider, self._plain, learnt)
 
     def _is_better(self, scores: HoldoutScores, plain: FittedCandidate, candidate: FittedCandidate) -> bool:
         of_plain, run = scores.run(plain), scores.run(candidate)
         if of_plain is None or run is None:
             return False
+        # Of a fit its runs and the level of its noise are read, and that level is one for all.
         before, after = (replace(self.answer.base, validation=each) for each in (of_plain, run))
         return bool(judge_against_plain(before, after, scores.validation.uncounted))
 
     @cached_property
     def _wider(self) -> HoldoutScores:
-        """The first halves of the records that judge with those that were fitted; the second halves judge."""
-        first_halves, second_halves = self.answer.validation.halve()
-        problem = self.answer.search.problem
-        experiments = (*problem.experiments, *first_halves)
-        return HoldoutScores(replace(problem, noise=problem.noise_model, experiments=experiments), second_halves)
+        return _learn_from_first_halves(self.answer.search.problem, self.answer.validation)
 
     @cached_property
     def _plain(self) -> FittedCandidate | None:
-        plain, problem = self.answer.search.baseline, self._wider.problem
-        return problem.refit_best(plain.model, [plain.model.values, problem.model.values])
+        """The plain model with constants of the first halves too: one for all sets."""
+        return _refit_as_it_stands(self._wider.problem, self.answer.search.baseline)
+
+
+def _learn_from_first_halves(problem: DiscoveryProblem, validation: ValidationSet) -> HoldoutScores:
+    """The same problem on the first halves of the validation records too, under its noise; the second halves judge."""
+    first_halves, second_halves = validation.halve()
+    experiments = (*problem.experiments, *first_halves)
+    return HoldoutScores(replace(problem, noise=problem.noise_model, experiments=experiments), second_halves)
+
+
+def _refit_as_it_stands(problem: DiscoveryProblem, candidate: FittedCandidate) -> FittedCandidate | None:
+    """A set refitted to the records of ``problem``, from where it stands and from what its user gave."""
+    return problem.refit_best(candidate.model, [candidate.model.values, problem.model.values])
 
 
 def may_leave_more(chosen: FittedCandidate, left: float, is_noise_known: bool) -> bool:
@@ -280,15 +288,13 @@ def _settle(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
 
 def _learn_from_validation(answer: SearchAnswer) -> SearchAnswer | None:
     """The answer with constants of the first halves of the validation records too, the second halves judge; None where it fails there."""
-    first_halves, second_halves = answer.validation.halve()
-    problem = answer.scores.problem
-    wider = replace(problem, noise=problem.noise_model, experiments=(*problem.experiments, *first_halves))
-    fits = [wider.refit_best(c.model, [c.model.values, problem.model.values]) for c in (answer.plain, answer.candidate)]
+    scores = _learn_from_first_halves(answer.scores.problem, answer.validation)
+    wider = scores.problem
+    fits = [_refit_as_it_stands(wider, each) for each in (answer.plain, answer.candidate)]
     if fits[0] is None or fits[1] is None:
         return None
     plain, candidate = fits[0], fits[1]
-    base, best = (validate_candidate(wider, each, second_halves) for each in (plain, candidate))
-    scores = HoldoutScores(wider, second_halves)
+    base, best = (validate_candidate(wider, each, scores.validation) for each in (plain, candidate))
     return replace(
         answer,
         scores=scores,

@@ -382,6 +382,7 @@ class HoldoutScores:
     problem: DiscoveryProblem
     validation: ValidationSet
     _runs: dict[tuple[Any, ...], Validation | None] = field(init=False, default_factory=dict)
+    # The first states of the first that was run there, one value a record, and from how many rows of each they were estimated.
     _begun: tuple[Mapping[str, Sequence[float]], list[int]] | None = field(init=False, default=None)
     _adapted: dict[tuple[Any, ...], AdaptedRun | None] = field(init=False, default_factory=dict)
 

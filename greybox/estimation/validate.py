@@ -247,8 +247,8 @@ def follow_records(
     refinement = replace(options.policy.step_refinement, halvings=0)
     options = replace(options, thorough=False, policy=replace(options.policy, step_refinement=refinement))
     model, initial = problem.model, problem.variables.initial
-    # The kernel of the fit runs them too: one of a model without free constants would be made anew.
     conditions = [e.conditions for e in problem.experiments] if any(e.conditions for e in problem.experiments) else ()
+    # The problem keeps the model of its fit, and so its kernel: one of a model without free constants would be made anew.
     held = DecisionVector.of(model.fix(*model.values), initial, conditions)
     problem, rows = replace(problem, variables=held), list(least)
     if initial.free.any():

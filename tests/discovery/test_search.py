@@ -132,3 +132,26 @@ def test_a_look_above_the_smaller_set_goes_on_where_it_promises_to_pass_it(promi
     EffectSearch.add_refits(loop, [(SimpleNamespace(cost=100.0), "look")])
     assert ("look" in fits.carried) == goes_on and ("carried" in added) == goes_on
     assert "absent" in added
+
+
+@pytest.mark.parametrize(("left_out", "looked_at"), [(frozenset(), ["drag", "load"]), (frozenset({"creep"}), ["load"])])
+def test_the_usual_effects_alone_are_looked_at_for_sets_that_nobody_has_fitted(left_out, looked_at):
+    effects = [SimpleNamespace(name=name) for name in ("friction", "drag", "load")]
+    fitted = {frozenset({"friction", "drag"}): "a set"}
+    asked = []
+    loop = SimpleNamespace(
+        candidates=effects,
+        left_out=left_out,
+        problem=SimpleNamespace(executor=SimpleNamespace(is_late=False)),
+        table=SimpleNamespace(get=lambda names: fitted.get(frozenset(names))),
+        promise=lambda base, left, shapes: (asked.extend(e.name for e in left), (0.0, []))[1],
+        _screened=set(),
+        _shapes={},
+        _root=lambda name: name,
+    )
+    base = SimpleNamespace(effects=("friction",), model=SimpleNamespace(bound_effects=()), given=())
+    EffectSearch._screen(loop, base)
+    assert asked == looked_at
+    # Once each, fitted or not: what is known comes up no second time.
+    EffectSearch._screen(loop, base)
+    assert asked == looked_at

@@ -85,10 +85,6 @@ def write_status(report: SolverReport) -> str:
     return text
 
 
-# Constants of open directions that a sentence lists; of more it says how many.
-LISTED_CONSTANTS = 6
-
-
 # Intervals that are wider by less than this factor are as wide: a reader would see no difference.
 WIDER = 1.05
 
@@ -97,6 +93,10 @@ def _write_width(finding: Finding, white: str) -> str:
     """`` and are up to 3 times as wide as for white noise``; nothing where they are as wide."""
     inflation = finding.values["inflation"]
     return f" and are up to {inflation:.2g} times as wide as for white {white}" if inflation >= WIDER else ""
+
+
+# Constants of open directions that a sentence lists; of more it says how many.
+LISTED_CONSTANTS = 6
 
 
 def _write_open(finding: Finding) -> str:
