@@ -142,12 +142,29 @@ def test_the_reversed_signal_is_named(name, signal, effect, among):
     assert found.effects[0]["grade"] == "established"
 
 
+# What an input in another row looks like most.
+LIKE_ANOTHER_ROW = (
+    "late_row",
+    "early_row",
+    "transport_delay",
+    "drive_lag",
+    "sensor_lag",
+    "input_offset",
+    "sensor_gain",
+)
+
+
 @pytest.mark.rest
 @pytest.mark.parametrize(
-    ("name", "late"), [pytest.param("motor", 1, marks=pytest.mark.slow), ("stage", 1), ("heater", -1)]
+    ("name", "late", "among"),
+    [
+        *(pytest.param(*case, (), marks=pytest.mark.slow) for case in (("motor", 1), ("stage", 1), ("heater", -1))),
+        ("stage", 1, LIKE_ANOTHER_ROW),
+        ("heater", -1, LIKE_ANOTHER_ROW),
+    ],
 )
-def test_an_input_that_is_written_in_another_row_is_named(name, late):
-    found = search(name, late=late)
+def test_an_input_that_is_written_in_another_row_is_named(name, late, among):
+    found = search(name, late=late, among=among)
     (effect,) = found.effects
     # Written early by one row, an input is late by one: a delay of just that is the same.
     assert effect["name"] in (("late_row",) if late > 0 else ("early_row", "transport_delay"))

@@ -54,6 +54,7 @@ CASES = [
         {"stribeck_friction": {"Fc": 0.04, "Fs": 0.08, "vs": 0.01}},
         WELL,
         ("coulomb_friction", "quadratic_damping"),
+        slow=True,
     ),
     # From the position alone it takes more rows to tell that all of the error is its own.
     case(
@@ -64,7 +65,7 @@ CASES = [
         rows=600,
         slow=True,
     ),
-    case(micro_actuator, {"quadratic_stiffness": {"K2": 4e5}}, WELL, ("cubic_stiffness", "constant_load")),
+    case(micro_actuator, {"quadratic_stiffness": {"K2": 4e5}}, WELL, ("cubic_stiffness", "constant_load"), slow=True),
     case(
         micro_actuator,
         {"viscoelastic_creep": {"K1": 400.0, "tau1": 0.03}},
@@ -98,7 +99,7 @@ CASES = [
         ("cubic_stiffness", "force_constant_droop"),
         slow=True,
     ),
-    case(micro_actuator, {"input_dead_zone": {"d": 0.15}}, WELL, ("coulomb_friction", "quadratic_damping")),
+    case(micro_actuator, {"input_dead_zone": {"d": 0.15}}, WELL, ("coulomb_friction", "quadratic_damping"), slow=True),
     case(micro_actuator, {"transport_delay": {"delay": 3.75e-4}}, WELL, ("sensor_lag", "eddy_current")),
     case(micro_actuator, {"sensor_drift": {"rate": 1e-4}}, WELL, ("constant_load", "viscoelastic_creep"), slow=True),
     case(

@@ -15,7 +15,7 @@ from greybox.estimation.score import score_fit
 
 pytestmark = pytest.mark.rest
 
-TIME = 0.05 * np.arange(80)
+TIME = 0.05 * np.arange(60)
 TRUE = {"M": 0.7, "D": 1.5, "K": 30.0, "K3": 40.0}
 
 mass = Model(

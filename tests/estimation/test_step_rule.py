@@ -23,11 +23,17 @@ STIFF = ("Robertson", "HIRES")
 EVERYDAY = ("hardening, few rows", "two wells, few rows")
 # Each plant meets each method, and each of both meets every pair of a transcription and a number of substeps. More of them prove nothing
 # new: the rule looks at the constants and the step with which a search has ended.
+# Segments of these take longest.
+AT_NIGHT = (("hardening", "multiple"), ("Robertson", "multiple"))
 WAYS = [("single", 0), ("multiple", 1), ("single", 1), ("multiple", 0)]
 CASES = [
     pytest.param(
         *(name, way, method, substeps),
-        marks=() if name in EVERYDAY and way == "single" else pytest.mark.slow if name == "HIRES" else pytest.mark.rest,
+        marks=()
+        if name in EVERYDAY and way == "single"
+        else pytest.mark.slow
+        if name == "HIRES" or (name, way) in AT_NIGHT
+        else pytest.mark.rest,
     )
     for i, name in enumerate(PLANTS)
     for j, method in enumerate(METHODS)

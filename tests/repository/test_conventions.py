@@ -86,7 +86,6 @@ def idle_names(names: set[str]) -> set[str]:
     return left
 
 
-@pytest.mark.rest
 def test_a_setting_is_turned_by_somebody() -> None:
     """A number that no caller, study or test turns is a constant above the function that it steers."""
     settings = policies()
@@ -97,7 +96,6 @@ def test_a_setting_is_turned_by_somebody() -> None:
     assert idle_names({"a_" + "setting_of_nobody"})  # what nothing gives is seen
 
 
-@pytest.mark.rest
 def test_a_constant_says_what_it_is() -> None:
     """A comment stands above each number at module level, or above the group that it is in; or a docstring below."""
     bare = []

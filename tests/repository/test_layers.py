@@ -165,7 +165,6 @@ def test_the_core_names_no_extension() -> None:
     assert not named, f"the core names an extension: {', '.join(named)}"
 
 
-@pytest.mark.rest
 def test_no_module_imports_itself_through_others() -> None:
     """Imports inside functions count as well: they hide circles, and do not remove them."""
     local = ("greybox", "models", "fits")

@@ -173,7 +173,7 @@ def without_times(data):
 
 @pytest.mark.rest
 @pytest.mark.skipif(sys.platform == "win32", reason="signals as POSIX has them")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)])
 def test_a_request_to_end_keeps_what_is_finished_and_the_same_command_goes_on(record, tmp_path, number):
     out = tmp_path / "out"
     # Far more starts than are searched from before the signal comes.

@@ -213,7 +213,7 @@ def make_fmu() -> PlantCase:
     atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
     truth, noise, records = {"K": 30.0, "B": 1.5}, {"x": 1e-3}, []
     for seed in (0, 1):
-        time, force = drive(seed, 200, 0.05)
+        time, force = drive(seed, 100, 0.05)
         x = lsim(([[0, 1], [-30.0, -1.5]], [[0], [1]], [[1, 0]], [[0]]), force, time, interp=False)[1]
         records.append(add_noise(Experiment(f"r{seed}", time, {"F": force}, {"x": x}), noise, seed))
     plant = read_fmu(path).with_values(["K", "B"])

@@ -46,7 +46,7 @@ KINDS = (
     *(ModelCheck, LinearFile),
 )
 
-RECORD = linear_record(silverbox, multisine(np.random.default_rng(1), 600, 1.6384e-3, 5, 200, 0.1), 1.6384e-3)
+RECORD = linear_record(silverbox, multisine(np.random.default_rng(1), 120, 1.6384e-3, 5, 200, 0.1), 1.6384e-3)
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +165,7 @@ OFFENCES = [
     (lambda d: d.update(effects={}), "effects is an object and must be a list"),
     (lambda d: d["covariance"].pop(), "covariance is no matrix of"),
     (lambda d: d["covariance"][0].pop(), "covariance is no matrix of"),
-    (lambda d: d["traces"][0]["simulated"]["y"].pop(), r"traces\[0\]\.simulated\.y has 599 rows, its time 600"),
+    (lambda d: d["traces"][0]["simulated"]["y"].pop(), r"traces\[0\]\.simulated\.y has 119 rows, its time 120"),
     (lambda d: d["misfit"]["y"].update(unit="V!"), r"misfit\.y: unit 'V!' cannot be read"),
     (lambda d: d["free"].__setitem__(0, "nan"), "free names a parameter that parameters does not"),
     (lambda d: d.update(ties={"K": "B"}), "tied and ties do not name the same parameters"),
