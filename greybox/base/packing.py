@@ -44,12 +44,17 @@ def pack(value: Any) -> bytes:
     for module in modules:
         cloudpickle.register_pickle_by_value(module)
     try:
-        buffer = io.BytesIO()
-        _Pickler(buffer).dump(value)
-        return buffer.getvalue()
+        return pack_values(value)
     finally:
         for module in modules:
             cloudpickle.unregister_pickle_by_value(module)
+
+
+def pack_values(value: Any) -> bytes:
+    """``value``, in which there is no function of the user's project, as bytes: looking for these takes longer than short runs do."""
+    buffer = io.BytesIO()
+    _Pickler(buffer).dump(value)
+    return buffer.getvalue()
 
 
 def unpack(data: bytes) -> Any:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.packing import pack, unpack, unpack_shared
+from greybox.base.packing import pack, pack_values, unpack, unpack_shared
 from greybox.base.parallel.local_pool import LocalPool, quiet_children
 from greybox.data.experiment import Experiment
 from greybox.simulation.plant import PlantLostError, PlantRunError
@@ -65,7 +65,8 @@ class PlantProcess:
     def _call(self, method: str, record: Experiment, *arguments: Any) -> Any:
         try:
             with quiet_children():
-                future = self._pool.submit(_run_there, self._plant, self._folder, pack((method, record, *arguments)))
+                call = pack_values((method, record, *arguments))
+                future = self._pool.submit(_run_there, self._plant, self._folder, call)
             return unpack(future.result())
         except BrokenProcessPool as error:
             self._deaths[record.name] += 1
@@ -93,4 +94,4 @@ def _run_there(plant: bytes, folder: str, call: bytes) -> bytes:
     # What the code unpacks and leaves when it dies lies where its owner removes it.
     tempfile.tempdir = folder
     method, *arguments = unpack(call)
-    return pack(getattr(unpack_shared(plant), method)(*arguments))
+    return pack_values(getattr(unpack_shared(plant), method)(*arguments))

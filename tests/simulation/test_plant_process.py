@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.base import packing
 from greybox.base.errors import GreyboxError
+from greybox.simulation.plant_process import PlantProcess
 
 pytestmark = [pytest.mark.rest, pytest.mark.skipif(sys.platform == "win32", reason="aborts differ")]
 
@@ -47,3 +49,17 @@ def test_a_validation_that_cannot_be_run_is_said():
     fit = gb.fit(Brittle(), record("good"), validation=record("bad", 9.0), noise={"y": 1e-3})
     assert not fit.explains_records
     assert "it cannot be run over 1 validation record" in str(fit).replace("\n", " ")
+
+
+def test_a_run_does_not_look_for_the_functions_of_a_project(monkeypatch):
+    """Among some thousand modules that takes longer than a short run: only the plant, which may hold some, is sent with them."""
+    plant, looked = Brittle(), []
+    monkeypatch.setattr(packing, "_local_packages", lambda: looked.append(1) or [])
+    process = PlantProcess(plant)
+    try:
+        for rate in (1.0, 2.0, 3.0):
+            run = process.simulate(record("good"), {"rate": rate})
+            assert run["y"] == pytest.approx(np.exp(-rate * record("good").time))
+    finally:
+        process.end()
+    assert looked == [1]
