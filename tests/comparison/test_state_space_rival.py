@@ -78,6 +78,7 @@ def test_its_entry_is_in_the_file(compared, tmp_path):
     assert "subspace" in data["models"]
 
 
+@pytest.mark.slow
 def test_one_input_and_output_have_none():
     record, _ = coupled_masses(0, rows=300)
     models, _ = fit_black_boxes([record], ["y1"], ["F1"], policy=SMALL)

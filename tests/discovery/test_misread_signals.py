@@ -171,7 +171,7 @@ def test_an_input_that_is_written_in_another_row_is_named(name, late, among):
     assert not any("lag" in c.name for c in found.claims if c.grade == "established")
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_two_reversed_readings_are_one_reversed_input():
     """On a linear plant they are the same, and one wire is the simpler answer."""
     assert [e["name"] for e in search("motor", ("i", "w"), among=LIKE_A_WIRE).effects] == ["reversed_input"]

@@ -164,7 +164,7 @@ def test_an_effect_whose_own_values_are_a_fit_s_begins_there():
 
 @pytest.mark.rest
 def test_a_sharp_resonance_is_found_from_all_of_its_starts():
-    dt, rows = 2e-3, 3000
+    dt, rows = 2e-3, 2000
     time = dt * np.arange(rows)
     force = gb.signals.multisine(time, 0.5, 60, 4.0, np.random.default_rng(1))
 

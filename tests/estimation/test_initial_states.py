@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -262,6 +263,7 @@ TANKS = {"k1": 0.037, "k3": 0.043, "k4": 0.03, "edge": 7.5, "share": 0.78, "ko":
 LOWER_EDGE, LOWER_OVERFLOW = 10.0, 1.0
 
 
+@cache
 def tanks_record(seed, rows=512, step=4.0, noise=0.02):
     """Levels of two tanks by SciPy; the upper one begins at a third of what the model declares."""
     rng, p, inlet = np.random.default_rng(seed), TANKS, cascaded_tanks.values["k2"]

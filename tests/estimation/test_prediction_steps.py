@@ -1,5 +1,7 @@
 """A prediction takes the steps that a fit takes: stiff models against SciPy's Radau, where nothing corrects and where a filter does."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -48,8 +50,10 @@ PAIR = Model(
 AT_REST = gb.FitOptions(at_rest=True)
 
 
-def solve_held(model):
-    """The outputs by SciPy's Radau, from row to row with the input held."""
+@cache
+def solve_held(name):
+    """The outputs of a model by SciPy's Radau, from row to row with the input held."""
+    model = next(m for m in (VALVE, QUENCH, PAIR) if m.name == name)
     f, p = model.system.rhs_function, np.array(list(model.values.values()))
     x = [model.system.constant_start]
     for u, a, b in zip(DRIVE, T, T[1:], strict=False):
@@ -60,7 +64,7 @@ def solve_held(model):
 
 @pytest.mark.parametrize("model", [VALVE, pytest.param(QUENCH, marks=pytest.mark.slow), PAIR], ids=lambda m: m.name)
 def test_a_prediction_of_a_stiff_model_is_its_free_run(model):
-    exact = solve_held(model)
+    exact = solve_held(model.name)
     noisy = exact + np.random.default_rng(1).normal(0, 0.01, len(T))
     record = gb.Experiment("run", T, {"u": DRIVE}, {"y": noisy}, "zero")
     alone = gb.predict(model, record, options=AT_REST, noise={"y": 0.01})["y"]
@@ -76,7 +80,7 @@ def test_a_prediction_of_a_stiff_model_is_its_free_run(model):
     [*(pytest.param(*m, marks=pytest.mark.slow) for m in ((VALVE, "s"), (QUENCH, "y"))), (PAIR, "y")],
 )
 def test_a_filter_takes_steps_that_can_be_written_out(model, state):
-    exact = solve_held(model)
+    exact = solve_held(model.name)
     record = gb.Experiment("run", T, {"u": DRIVE}, {"y": exact}, "zero")
     filtered = gb.predict(model.with_process_noise(**{state: 1e-6}), record, options=AT_REST, noise={"y": 0.01})["y"]
     assert np.abs(filtered - exact).max() < 2e-3
@@ -85,7 +89,7 @@ def test_a_filter_takes_steps_that_can_be_written_out(model, state):
 @pytest.mark.slow
 @pytest.mark.parametrize("model", [VALVE, QUENCH], ids=lambda m: m.name)
 def test_the_filter_of_a_stiff_cubic_finds_no_noise_where_there_is_none(model):
-    noisy = solve_held(model) + np.random.default_rng(1).normal(0, 0.01, len(T))
+    noisy = solve_held(model.name) + np.random.default_rng(1).normal(0, 0.01, len(T))
     fit = gb.fit(
         model.with_process_noise("y"),
         gb.Experiment("run", T, {"u": DRIVE}, {"y": noisy}),

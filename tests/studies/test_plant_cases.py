@@ -24,7 +24,7 @@ def test_the_plain_twin_is_the_model_of_the_template(plant: str) -> None:
 @pytest.mark.rest
 @pytest.mark.parametrize("plant", sorted(SETUPS))
 def test_a_foreign_effect_shows_and_the_case_can_be_drawn_again(plant: str) -> None:
-    case, again = (make(11, "foreign", plant, 300) for _ in range(2))
+    case, again = (make(11, "foreign", plant, 120) for _ in range(2))
     for name, values in case.validation.outputs.items():
         np.testing.assert_array_equal(values, again.validation.outputs[name])
     assert case.right == tuple((name,) for name in case.effects)

@@ -150,7 +150,7 @@ def work_after_a_death(folder: Path, item: int) -> tuple[int, int]:
     return item, os.getpid()
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 @needs_dask
 def test_a_local_cluster_of_two_processes_survives_the_death_of_one(tmp_path):
     killed: list[int] = []

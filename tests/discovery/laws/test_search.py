@@ -113,6 +113,7 @@ def test_nothing_is_claimed_of_a_complete_model():
     assert answer.verdict == "complete" and answer.effects == [] and answer.laws == ()
 
 
+@pytest.mark.slow
 def test_a_law_that_takes_nothing_of_the_error_is_none(found, monkeypatch):
     """What counts is the error of the free run that is told."""
     finish = conclusion.finish_fit

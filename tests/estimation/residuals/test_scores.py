@@ -33,7 +33,9 @@ BLACK = {
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("kind", [*GREY, *BLACK])
+@pytest.mark.parametrize(
+    "kind", [pytest.param(k, marks=[pytest.mark.slow] * (k == "dry friction")) for k in (*GREY, *BLACK)]
+)
 def test_every_kind_has_both_scores(kind):
     data, other = (record(s, rows=200, intensity=INTENSITY) for s in (1, 2))
     model = (GREY | BLACK)[kind](data)

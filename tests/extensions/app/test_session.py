@@ -258,7 +258,14 @@ def test_a_model_that_its_effects_do_not_name_goes_with_its_study(bench: Workben
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("options", [{"process_noise": {"v": None}}, {"loss": "huber"}, {"priors": {"B": (2.0, 0.1)}}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"process_noise": {"v": None}},
+        {"loss": "huber"},
+        pytest.param({"priors": {"B": (2.0, 0.1)}}, marks=pytest.mark.slow),
+    ],
+)
 def test_studies_of_other_kinds_are_shown_and_repeated_too(rig: Path, tmp_path: Path, options: dict) -> None:
     study = Study(model=str(rig / "carriage.py"), noise=NOISE, **options)
     model = constrain(build_model(study), study)

@@ -34,7 +34,7 @@ NOISE = {"x": 2e-4, "v": 2e-3}
 K, ZONE = 33.0, 0.3
 
 
-def mass_record(seed, rows=300, zone=ZONE):
+def mass_record(seed, rows=200, zone=ZONE):
     """The mass with its constant changed and a dead zone at its input, by the exact motion of a linear system."""
     rng = np.random.default_rng(seed)
     time = 0.05 * np.arange(rows)
