@@ -13,7 +13,6 @@ from greybox.estimation.residuals import residual_tests
 from greybox.estimation.score import score
 from greybox.estimation.uncertainty import bootstrap, profile
 from greybox.show import text
-from greybox.show.figures.pictures import draw_residual_tests
 from tests.support.findings import codes, find
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, three, with_gaps
 
@@ -101,16 +100,13 @@ def test_profile_and_bootstrap_meet_the_interval(path):
 
 @pytest.mark.rest
 @every_path
-def test_the_residual_is_tested(path, tmp_path):
+def test_the_residual_is_tested(path):
     found = residual_tests(found_on(path))
     assert len(found.tests) == 16
     assert all(np.isfinite(t.statistic) and 0 <= t.p_value <= 1 for t in found.tests)
     whiteness = [t.alarm for t in found.tests if t.kind == "whiteness"]
     assert all(whiteness) if path == "sandwich" else sum(whiteness) <= 1
     assert sum(t.alarm for t in found.tests if t.kind != "whiteness") <= 1
-    if path == "known process noise":
-        files = draw_residual_tests(found, tmp_path)
-        assert [f.name for f in files] == ["residual-x.png", "residual-v.png"] and all(f.stat().st_size for f in files)
 
 
 @pytest.mark.rest

@@ -205,7 +205,7 @@ def test_a_run_that_fails_does_not_end_the_fit(build, kind):
 @pytest.mark.rest
 def test_a_start_that_does_not_run_is_said(build):
     plant = read_fmu(build(VAN_DER_POL, "2.0", "CoSimulation"))
-    record = Experiment("r", TIME, {}, {"x0": van_der_pol(1.0)[0]})
+    record = Experiment("r", TIME[:80], {}, {"x0": van_der_pol(1.0)[0][:80]})
     result = gb.fit(plant.model.start(mu=60.0), record, options=gb.FitOptions(other_starts=0))
     assert not result.success and result.solver.details[0].code == EstimationCode.PLANT_RUN_FAILED
     assert "does not run" in result.solver.status_message

@@ -42,7 +42,7 @@ def test_a_fit_says_it_first_where_the_model_does_not_explain_the_record():
         return place, len(notes)
 
     # Millimetres where the model has metres.
-    wrong = gb.fit(LAG, frame(1e3), noise={"x": 1e-3})
+    wrong = gb.fit(LAG, frame(1e3), noise={"x": 1e-3}, options=gb.FitOptions(other_starts=0))
     assert not wrong.explains_records and places(wrong)[0] == 0
     right = gb.fit(LAG, frame(1.0), noise={"x": 1e-3})
     place, count = places(right)

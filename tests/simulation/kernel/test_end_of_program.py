@@ -66,7 +66,7 @@ def run_program(end: str, folder: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("end", "status", "last"),
     [
-        ("print('end')", 0, "end"),
+        pytest.param("print('end')", 0, "end", marks=pytest.mark.slow),
         ("print('end')\nsys.exit(3)", 3, "end"),
         ("raise SystemError('on purpose')", 1, "fitted 1 converged"),
     ],
