@@ -2,6 +2,7 @@
 operation."""
 
 from dataclasses import replace
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -114,25 +115,39 @@ def test_simulation_is_that_of_numpy(build, first_order, rows):
     np.testing.assert_allclose(y, expected_y, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.parametrize("first_order", [False, True, (1.0, 0.0)], ids=["held", "linear", "the first linear"])
-@pytest.mark.parametrize(("rows", "directions"), [(1, 3), (3, 6), (1, 11)])
-def test_jacobian_is_that_of_finite_differences(build, first_order, rows, directions):
-    """Along random directions through coefficients, parameters and first state at once."""
+WEIGHT, DIFFERENCE = np.array([2.0, 0.5]), 1e-6
+
+
+@cache
+def differentiate_numpy(first_order, rows, directions):
+    """A record, the point and the random directions through coefficients, parameters and first state at once; residuals and slopes there.
+
+    The same for every kernel: it takes longer than all of them.
+    """
     rng = np.random.default_rng(directions)
     record = with_gaps(oscillator_record(first_order=first_order, rows=rows))
-    table, weight = P * np.linspace(1, 1.2, rows)[:, None], np.array([2.0, 0.5])
+    table = P * np.linspace(1, 1.2, rows)[:, None]
     dq, dp, dx0 = (rng.standard_normal((*shape, directions)) for shape in ((rows, 3), (3,), (2,)))
-    r, jacobian = build(oscillator_step()).residuals(record, KernelPoint(table, dq, P, dp, X0, dx0), weight)
     y, _ = numpy_simulation(record, table, P, X0)
-    np.testing.assert_allclose(r, (record.y - y) * weight, rtol=1e-9, atol=1e-11)
-    step = 1e-6
+    slopes = np.empty((*y.shape, directions))
     for k in range(directions):
         ends = [
             numpy_simulation(record, table + e * dq[..., k], P + e * dp[:, k], X0 + e * dx0[:, k])[0]
-            for e in (step, -step)
+            for e in (DIFFERENCE, -DIFFERENCE)
         ]
-        slope = -(ends[0] - ends[1]) / (2 * step) * weight
-        slope[np.isnan(record.y)] = np.nan
+        slopes[:, :, k] = -(ends[0] - ends[1]) / (2 * DIFFERENCE) * WEIGHT
+    slopes[np.isnan(record.y)] = np.nan
+    return record, KernelPoint(table, dq, P, dp, X0, dx0), (record.y - y) * WEIGHT, slopes
+
+
+@pytest.mark.parametrize("first_order", [False, True, (1.0, 0.0)], ids=["held", "linear", "the first linear"])
+@pytest.mark.parametrize(("rows", "directions"), [(1, 3), (3, 6), (1, 11)])
+def test_jacobian_is_that_of_finite_differences(build, first_order, rows, directions):
+    record, point, expected, slopes = differentiate_numpy(first_order, rows, directions)
+    r, jacobian = build(oscillator_step()).residuals(record, point, WEIGHT)
+    np.testing.assert_allclose(r, expected, rtol=1e-9, atol=1e-11)
+    for k in range(directions):
+        slope = slopes[:, :, k]
         np.testing.assert_allclose(jacobian[:, :, k], slope, rtol=1e-6, atol=1e-7 * np.nanmax(np.abs(slope)))
 
 
