@@ -12,7 +12,7 @@ from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.model.effects.catalogue import CATALOGUE, effect, find_placements, place_effect
 from greybox.shell.project import find_model, template_root
 
-FINE = 100
+FINE = 50
 Rate = Callable[[list[float], float], list[float]]
 
 
