@@ -168,7 +168,12 @@ def test_constants_are_those_without_the_glitches(rig):
             assert abs(found.parameters[name].value - estimate.value) < 2 * estimate.std, (share, size, name)
 
 
-@pytest.mark.parametrize("rig", RIGS)
+def some(*everyday):
+    """All rigs, of which these are looked at in the everyday run and the others at night."""
+    return [pytest.param(rig, marks=[pytest.mark.slow] * (rig not in everyday)) for rig in RIGS]
+
+
+@pytest.mark.parametrize("rig", some("motor", "reactor", "limiter"))
 def test_glitches_of_a_counters_full_range_also_in_the_first_row(rig):
     """10,000 times the noise, as a counter that reads 65535: the free run begins at one."""
     model, record = RIGS[rig][0], make_record(rig)
@@ -195,7 +200,7 @@ def spoil_in_bursts(record, rig, share, size, *, one_sided, seed=3):
     return record.with_outputs(outputs)
 
 
-@pytest.mark.parametrize("rig", RIGS)
+@pytest.mark.parametrize("rig", some("tanks", "spring", "block"))
 def test_bursts_do_not_pull_together(rig):
     model, record = RIGS[rig][0], make_record(rig)
     clean = fit(model, record)
