@@ -181,7 +181,7 @@ def test_our_own_export_gives_its_constants_back_in_fifty_simulations(exported, 
 def test_an_initial_state_is_a_parameter(exported):
     plant = read_fmu(exported)
     assert "state_x" not in [q.name for q in plant.model.free_parameters]
-    time = 2.5e-4 * np.arange(300)
+    time = 2.5e-4 * np.arange(120)
     run = gb.simulate(micro_actuator, {"time": time, "u": 0 * time}, initial={"x": 1e-5})
     record = run.record({"x": 1e-8, "i": 1e-4}, np.random.default_rng(0))
     result = gb.fit(plant.with_values(["state.x"], {"state.x": 5e-6}), record)
