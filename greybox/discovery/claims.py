@@ -185,8 +185,8 @@ def describe_effect(model: Model, bound: BoundEffect) -> EffectForm:
         return EffectForm("", label, (TIME,) if is_over_time else variables, STATIC, ())
     name = claimed_name(effect).removesuffix(SECOND_BRANCH)
     base = name.partition(AT)[0]
-    if _is_timing(effect):
-        return EffectForm(name, label, variables, TIMING, tuple(e.name for e in all_effects() if _is_timing(e)))
+    if only_moves_in_time(effect):
+        return EffectForm(name, label, variables, TIMING, tuple(e.name for e in all_effects() if only_moves_in_time(e)))
     form = WITH_MEMORY if has_memory(effect) else STATIC
     return EffectForm(name, label, variables, form, family_of(base) or (base,))
 
@@ -197,7 +197,7 @@ def _describe_effects(model: Model, given: frozenset[str]) -> tuple[EffectForm, 
     return tuple(describe_effect(model, b) for b in model.bound_effects if b.effect.name not in given)
 
 
-def _is_timing(effect: Effect) -> bool:
+def only_moves_in_time(effect: Effect) -> bool:
     """Whether an effect only moves a signal in time: a lag, a delay, another hold. To the first order in its time each does the same,
     1 / (1 + s tau) = 1 - s tau + ... = exp(-s tau).
     """

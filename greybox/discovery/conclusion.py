@@ -59,7 +59,7 @@ from greybox.discovery.proposals import explain_doubt, list_detection_limits, pr
 from greybox.discovery.proposers import add_curves_in_place, add_objections
 from greybox.discovery.residual_noise import has_memory, is_level_known, is_shape_correction
 from greybox.discovery.result import Discovery, RankedCandidate, quote_test_error
-from greybox.discovery.search import LEAST_PROMISE, find_named_winner
+from greybox.discovery.search import LEAST_PROMISE, EffectSearch, find_named_winner
 from greybox.discovery.summary import list_law_ranges, summarise, summarise_laws
 from greybox.discovery.surrogate import Surrogate, fit_stand_in
 from greybox.discovery.table import RESAMPLES, Draws, FitTable, key_of
@@ -519,7 +519,7 @@ def _weigh(answer: SearchAnswer) -> SearchAnswer:
         chosen = answer.candidate
         objecting = partial(add_objections, search, chosen, answer.signals)
         has_rivals = problem.failures.attempt(SearchStage.EVIDENCE, chosen.effects, objecting, None) is not None
-        draws = search.draw(RESAMPLES, (chosen,))
+        draws = draw_with_parts(search, (chosen,))
         winner = leave_out_small(table, find_named_winner(draws, search.baseline))
         if key_of(winner) == key_of(chosen) or handover == MOST_HANDOVERS or problem.executor.is_late:
             break
@@ -550,8 +550,8 @@ def _weigh(answer: SearchAnswer) -> SearchAnswer:
     ]
     for name in standing:
         add_curves_in_place(search, chosen, name)
+    weighed = weigh(draw_with_parts(search, (chosen,))) if standing else weighed
     taking_part = table.leading((search.baseline, chosen))
-    weighed = weigh(table.draw(taking_part)) if standing else weighed
     # Of equations there are more candidates than signals take part.
     tried = len(search.candidates) + MOST_SIGNALS * bool(terms)
     sites = answer.location.sets if answer.location else ()
@@ -560,6 +560,26 @@ def _weigh(answer: SearchAnswer) -> SearchAnswer:
     rates = measure_false_names(contests, without, answer.signals, weighed.claims)
     nonsense = list_nonsense_sites(rates, chosen.model)
     return replace(weighed, rates=rates, grounds=replace(grounds, nonsense=nonsense))
+
+
+def draw_with_parts(search: EffectSearch, always: Sequence[FittedCandidate]) -> Draws:
+    """Resamples of the table in which a set that wins with a curve has won against each of its parts.
+
+    A curve takes the place of one effect of a set, and may do the work of the others as well: beside a constant, a gain of a sensor that
+    had imitated it.
+    """
+    while True:
+        draws = search.draw(RESAMPLES, always)
+        if not draws.sets:
+            return draws
+        leading = draws.sets[Weights.of(draws).leading].candidate
+        parts = [search.table.without(leading, name) for name in leading.effects]
+        if len(parts) < 2 or all(parts) or not any(map(is_shape_correction, leading.effects)):
+            return draws
+        known = len(search.table.candidates)
+        search.drop_parts(leading)
+        if len(search.table.candidates) == known or search.problem.executor.is_late:
+            return search.draw(RESAMPLES, always)
 
 
 def leave_out_small(table: FitTable, winner: FittedCandidate) -> FittedCandidate:

@@ -26,6 +26,7 @@ from greybox.discovery.surrogate_effects import (
     CURVE,
     CurvePlace,
     make_curve_effect,
+    make_line_effect,
     make_linear_path,
     make_power_effect,
     make_sinusoid_effect,
@@ -36,7 +37,9 @@ from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import AT, find_placements
 from greybox.model.effects.catalogue import effect as catalogue_effect
 
-# Constants from which an effect without memory is held against a power of its variable: so many imitate other simple laws.
+# Constants from which an effect is held against a straight line over its variable: an end stop that is never left is a spring...
+LINE_CONSTANTS = 2
+# ...and from which one without memory is held against a power of it: so many imitate other simple laws.
 MANY_CONSTANTS = 3
 # Effects of the catalogue that add a constant, at an input and at a balance.
 CONSTANTS = ("input_offset", "constant_load", "heat_gain")
@@ -232,18 +235,19 @@ def _list_simpler(
 ) -> list[Effect]:
     """Something simpler in the place of an effect: where that does as well, the records do not show what the effect has beyond it.
 
-    For an effect with memory a smooth curve without one, for one of many constants a power of its variable; nothing for all others.
+    For an effect of several constants a straight line over its variable, for one of many a power of it; for an effect with memory also a
+    smooth curve without one. Nothing for all others.
     """
     signal = next((s for s in signals if s.effect == effect.name), None)
     if signal is None:
         return []
     names = answer.model.names_of(effect.name)
     free = sum(not answer.model.parameter(names[q.name]).fixed for q in effect.parameters)
+    place = _site_of(rest, signal), signal.dependence, signal.variable, signal.value
+    simpler = [make_line_effect(*place)] if free >= LINE_CONSTANTS else []
     if has_memory(effect):
-        return [_make_curve_of(rest, signal, signal.value)]
-    if free < MANY_CONSTANTS:
-        return []
-    return [make_power_effect(_site_of(rest, signal), signal.dependence, signal.variable, signal.value)]
+        return [*simpler, _make_curve_of(rest, signal, signal.value)]
+    return [*simpler, make_power_effect(*place)] if free >= MANY_CONSTANTS else simpler
 
 
 def list_constants_in_place(effect: Effect, rest: FittedCandidate) -> list[Effect]:

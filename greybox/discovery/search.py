@@ -16,7 +16,7 @@ import numpy as np
 from greybox.base.numerics import TINY
 from greybox.base.values import Check, Finding
 from greybox.discovery.candidates import family_of, generate_child_starting_points, generate_starting_points
-from greybox.discovery.claims import Weights
+from greybox.discovery.claims import Weights, only_moves_in_time
 from greybox.discovery.decision import EXCESS_AUTOCORRELATION, make_check
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
@@ -29,7 +29,7 @@ from greybox.discovery.surrogate_effects import CurvePlace
 from greybox.discovery.table import Draws, FitTable, SetKey, draw_sets, key_of
 from greybox.model import Effect
 from greybox.model.effects.catalogue import AT
-from greybox.model.effects.scales import AMPLITUDE_GRID, FEW_SHAPES, Scales, count_shapes, count_starts
+from greybox.model.effects.scales import AMPLITUDE_GRID, FEW_SHAPES, Scales, count_shapes, count_starts, within_bounds
 from greybox.model.parts import Occurrence, read_parts
 
 MessageCallback = Callable[[str], None]
@@ -168,7 +168,7 @@ class EffectSearch:
                 self._add_relatives(fit)
             self._finish_leading()
             best = self.find_winner()
-            self._drop_parts(best)
+            self.drop_parts(best)
             best = self.find_winner()
             is_new = key_of(best) != key_of(winner)
             self._keep_step(best, winner, is_new)
@@ -238,10 +238,15 @@ class EffectSearch:
     def _add_promising(self, bases: Sequence[FittedCandidate]) -> None:
         """The most promising effects beside each base, the first of each family and site, refitted."""
         promises = [promise for base in bases for promise in self._screen(base)]
-        planned = [self._plan(promise) for promise in self._choose(promises)]
-        planned += [
-            self._plan_whole(base, e) for base in bases if not base.effects for e in self.candidates if not e.parameters
-        ]
+        chosen = list(self._choose(promises))
+        planned = [self._plan(one) for one in chosen]
+        for base in bases:
+            if not base.effects:
+                planned += [self._plan_whole(base, e) for e in self.candidates if not e.parameters]
+        # A lag has no size either: less of it is another lag. From a longer one the constants come back on the way, from a shorter one not.
+        for base, promise in chosen:
+            if not base.effects and only_moves_in_time(promise.effect):
+                planned += [self._plan_whole(base, promise.effect, shape) for shape in promise.shapes]
         self.add_refits(planned)
 
     def _screen(self, base: FittedCandidate) -> list[tuple[FittedCandidate, EffectPromise, float]]:
@@ -342,12 +347,21 @@ class EffectSearch:
         job = self.problem.failures.attempt(SearchStage.PREPARATION, (*base.effects, effect.name), plan, None)
         return None if job is None else (base, job)
 
-    def _plan_whole(self, base: FittedCandidate, effect: Effect) -> tuple[FittedCandidate, RefitJob] | None:
-        """A look at a set with an effect that has no size: it is there whole, and no multiple of it says what it does."""
+    def _plan_whole(
+        self, base: FittedCandidate, effect: Effect, shape: Mapping[str, float] = {}
+    ) -> tuple[FittedCandidate, RefitJob] | None:
+        """A look at a set with an effect that has no size: it is there whole, and no multiple of it says what it does.
+
+        ``shape`` holds values of its constants, by its own names.
+        """
 
         def plan() -> RefitJob:
             model = base.model + effect
-            starts = (base.model.values, {**base.model.values, **share_values(self.problem.model, base.model)})
+            names = model.names_of(effect.name)
+            begun = {**base.model.values, **{names[n]: within_bounds(model, names[n], v) for n, v in shape.items()}}
+            if shape:  # to the end: on the way it may be far above the set without it
+                return self.problem.plan_refit(model, [begun], 1, like=base, refines=False)
+            starts = (begun, {**begun, **share_values(self.problem.model, base.model)})
             return self.problem.plan_refit(model, starts, 2, WHOLE_ITERATIONS, base, refines=False)
 
         job = self.problem.failures.attempt(SearchStage.PREPARATION, (*base.effects, effect.name), plan, None)
@@ -362,7 +376,12 @@ class EffectSearch:
         # It contains the smaller set: from where that ended, the effect absent, it cannot do worse. A look that promises to get there goes
         # on beside it: from constants at their bounds, where the smaller set may have ended, nothing leads away.
         behind = [k for k, fit in enumerate(looks) if fit is None or fit.cost > jobs[k][0].cost]
-        again = self.problem.refit_all([self._plan_absent(*jobs[k]) for k in behind])
+        # Of several looks at one set the effect is absent once.
+        absent = {
+            (id(base), tuple(e.name for e in job.model.effects)): (base, job)
+            for base, job in map(jobs.__getitem__, behind)
+        }
+        again = self.problem.refit_all([self._plan_absent(*one) for one in absent.values()])
         for k in behind:
             fit = looks[k]
             looks[k] = None if fit is None or fit.cost - fit.promised_decrease > jobs[k][0].cost else fit
@@ -429,8 +448,8 @@ class EffectSearch:
         starts = [{n: v for n, v in start.items() if n in model.values} for start in starts]
         return rest, self.problem.plan_refit(model, starts, 1, LOOK_ITERATIONS, fit, refines=False)
 
-    def _drop_parts(self, best: FittedCandidate) -> None:
-        """The winner without each of its effects: what a part takes is the difference, and a plain model that was stuck is no ground."""
+    def drop_parts(self, best: FittedCandidate) -> None:
+        """A winner without each of its effects: what a part takes is the difference, and a plain model that was stuck is no ground."""
         for name in best.effects:
             if (rest := self.problem.refit_without(best, name)) is None:
                 continue
@@ -441,7 +460,7 @@ class EffectSearch:
     def add_in_place(self, chosen: FittedCandidate) -> None:
         """What else may stand in the place of each effect of a set: nothing, and the most promising of the others."""
         self.table.add(chosen)
-        self._drop_parts(chosen)
+        self.drop_parts(chosen)
         rests = [self.table.without(chosen, name) for name in chosen.effects]
         self._add_promising([rest for rest in rests if rest is not None])
 

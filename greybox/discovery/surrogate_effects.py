@@ -1,4 +1,4 @@
-"""Surrogates of an unknown effect: a smooth curve, a power or a sinusoid over a variable, a tone in time, or a linear path.
+"""Surrogates of an unknown effect: a smooth curve, a line, a power or a sinusoid over a variable, a tone in time, or a linear path.
 
 The curve is ``sum c_k exp(-(t - k)^2)``, ``t = (z - lowest) / pitch``: bumps so close that their sum is smooth (equal ones make a constant
 to 1e-4), and short enough to be read in a model file. Outside the range that was seen the curve goes to zero. Weak priors on the
@@ -108,6 +108,28 @@ def make_curve_effect(
     c = regression.solve(np.append(w * weight, np.zeros(len(heights))))
     begin = dict(zip(heights, map(float, c), strict=True))
     return _curve_effect(site, dependence, curve, parameters, begin, f"smooth curve over {variable}")
+
+
+def make_line_effect(site: DisturbanceSite, dependence: Dependence, z: np.ndarray, w: np.ndarray) -> Effect:
+    """A straight line over the variable of ``dependence`` as an effect at ``site``.
+
+    It begins (its ``probe``) as the regression of the signal ``w`` (K,) on the variable ``z`` (K,).
+    """
+    middle, spread = float(np.mean(z)), float(np.std(z)) or 1.0
+    source = "range of the record"
+    parameters = [
+        Parameter("middle", dependence.unit, middle, fixed=True, source=source, description="mean of the variable"),
+        Parameter("spread", dependence.unit, spread, fixed=True, source=source, description="its standard deviation"),
+        Parameter("level", site.unit, 0.0, source="zero, until fitted", description="its value in the middle"),
+        Parameter("slope", site.unit, 0.0, source="zero, until fitted", description="its change over the spread"),
+    ]
+
+    def line(value: Expression, p: NamedValues) -> Expression:
+        return p.level + p.slope * (value - p.middle) / p.spread
+
+    level, slope = decompose_columns(np.stack([np.ones_like(z), (z - middle) / spread], axis=1)).solve(w)
+    begin = {"level": float(level), "slope": float(slope)}
+    return _curve_effect(site, dependence, line, parameters, begin, f"straight line over {dependence.variable}")
 
 
 # Exponents from which a power is fitted; it stays between the first and the last. The straight line is the model's own.
