@@ -182,7 +182,8 @@ def describe_effect(model: Model, bound: BoundEffect) -> EffectForm:
         return EffectForm("", "", variables, WITH_MEMORY, ())
     if effect.name in (CURVE, TONE):
         is_over_time = effect.name == TONE or any(s.name == CLOCK for s in effect.states)
-        return EffectForm("", label, (TIME,) if is_over_time else variables, STATIC, ())
+        form = TIMING if only_moves_in_time(effect) else STATIC
+        return EffectForm("", label, (TIME,) if is_over_time else variables, form, ())
     name = claimed_name(effect).removesuffix(SECOND_BRANCH)
     base = name.partition(AT)[0]
     if only_moves_in_time(effect):

@@ -13,13 +13,14 @@ from functools import partial
 import numpy as np
 
 from greybox.data.closed_loop import find_loops
+from greybox.discovery.claims import only_moves_in_time
 from greybox.discovery.curve_shape import TIME, CurveShape, Dependence, ShapeKind, rank_dependences
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind, list_disturbance_sites, site_label
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.linear import EffectPromise
 from greybox.discovery.localisation import ResidualLocalisation, ResidualSignal, localise_residual
-from greybox.discovery.problem import FittedCandidate
+from greybox.discovery.problem import FittedCandidate, share_values
 from greybox.discovery.residual_noise import SECOND_BRANCH, has_memory, is_shape_correction
 from greybox.discovery.search import EffectSearch
 from greybox.discovery.surrogate_effects import (
@@ -36,6 +37,7 @@ from greybox.discovery.table import SetKey, key_of
 from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import AT, find_placements
 from greybox.model.effects.catalogue import effect as catalogue_effect
+from greybox.model.effects.scales import within_bounds
 
 # Constants from which an effect is held against a straight line over its variable: an end stop that is never left is a spring...
 LINE_CONSTANTS = 2
@@ -43,6 +45,8 @@ LINE_CONSTANTS = 2
 MANY_CONSTANTS = 3
 # Effects of the catalogue that add a constant, at an input and at a balance.
 CONSTANTS = ("input_offset", "constant_load", "heat_gain")
+# Effects of the catalogue that are a lag, of an input and of a sensor.
+LAGS = ("valve_lag", "drive_lag", "sensor_lag")
 # Rates at which a linear path begins, between one sample and the whole record.
 PATH_RATES = 3
 # Iterations of a refit with such paths.
@@ -71,7 +75,12 @@ def add_objections(search: EffectSearch, answer: FittedCandidate, signals: Seque
     for_each = [(base, [effect for beside, effect in offered if beside is base]) for base in bases]
     search.add_beside((base, promise) for base, effects in for_each for promise in search.promise(base, effects)[1])
     jobs = failures.attempt(SearchStage.EVIDENCE, answer.effects, partial(_plan_linear_paths, search), [])
-    search.add_refits([(search.baseline, job) for job in jobs])
+    planned = [(search.baseline, job) for job in jobs]
+    for effect in in_question:
+        if only_moves_in_time(effect) and (rest := search.table.without(answer, effect.name)) is not None:
+            plan = partial(_plan_lags_elsewhere, search, answer, effect, rest)
+            planned += [(rest, job) for job in failures.attempt(SearchStage.EVIDENCE, answer.effects, plan, [])]
+    search.add_refits(planned)
     return True
 
 
@@ -261,6 +270,27 @@ def list_constants_in_place(effect: Effect, rest: FittedCandidate) -> list[Effec
     # The plant may have no place for it. At whatever site, it has no name.
     places = [p.effect for p in placements if p.effect is not None and p.site not in rest.model.auxiliary]
     return [replace(constant, name=CURVE) for constant in places]
+
+
+def _plan_lags_elsewhere(
+    search: EffectSearch, answer: FittedCandidate, effect: Effect, rest: FittedCandidate
+) -> list[RefitJob]:
+    """A lag at every other input and sensor in the place of an effect that only moves a signal in time, without a name.
+
+    From an input to a reading of a linear plant, a lag does the same at either end.
+    """
+    names, jobs = answer.model.names_of(effect.name), []
+    seconds = next((answer.model.values[names[q.name]] for q in effect.parameters), search.scales.period)
+    site = next(b.site for b in answer.model.bound_effects if b.effect.name == effect.name)
+    for place in find_placements(rest.model, tuple(map(catalogue_effect, LAGS))):
+        # One that is a candidate is on the table by its name.
+        if place.effect is None or place.site == site or place.effect.name in [e.name for e in search.candidates]:
+            continue
+        model = rest.model + replace(place.effect, name=CURVE)
+        lag = model.names_of(CURVE)[place.effect.parameters[0].name]
+        start = {**share_values(answer.model, model), lag: within_bounds(model, lag, seconds)}
+        jobs.append(search.problem.plan_refit(model, [start], 1, like=answer, refines=False))
+    return jobs
 
 
 def _plan_linear_paths(search: EffectSearch) -> list[RefitJob]:

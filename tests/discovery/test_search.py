@@ -180,22 +180,33 @@ def test_a_set_that_wins_with_a_curve_has_won_against_the_curve_alone():
     assert draws.sets[Weights.of(draws).leading].candidate is alone
 
 
-def test_an_end_stop_that_is_never_left_is_no_more_certain_than_a_straight_line():
-    """A spring that is stiffer than its user holds it for, always pressed: a stop that is always touched does the same."""
-    soft = STAGE.fix(K=300.0)
-    records = [record(seed, {}, STAGE.start(K=360.0), push=30.0) for seed in (4, 54)]
-    problem = DiscoveryProblem(soft, records[:1], {"x": NOISE}, (), gb.FitOptions(at_rest=True))
+def claim_before_and_after_objections(model, records, name):
+    """What is claimed of one effect that leaves only noise, before its objections stand on the table and with them."""
+    problem = DiscoveryProblem(model, records[:1], {"x": NOISE}, (), gb.FitOptions(at_rest=True))
     table = FitTable(HoldoutScores(problem, ValidationSet((records[1],))))
     scales = estimate_scales(problem.baseline)
-    listed = list_candidates(soft, scales, problem.failures, [gb.effect("end_stop")])
+    listed = list_candidates(model, scales, problem.failures, [gb.effect(name)])
     loop = EffectSearch(problem, table, listed.effects, scales, DiscoveryPolicy(), lambda text: None)
     loop._add_promising([loop.baseline])
-    stop = problem.converge(table.get({"end_stop"}))
-    table.add(stop)
-    assert stop.noise_ratio < 1.2 < 2 < loop.baseline.noise_ratio
-    before = name_claim(weigh_claims(loop.draw(always=(stop,)), (), (), 0.0, {"end_stop"}), "end_stop")
-    add_objections(loop, stop, estimate_effect_signals(problem, stop))
-    after = name_claim(weigh_claims(loop.draw(always=(stop,)), (), (), 0.0, {"end_stop"}), "end_stop")
+    fit = problem.converge(table.get({name}))
+    table.add(fit)
+    assert fit.noise_ratio < 1.2 < 2 < loop.baseline.noise_ratio
+    before = name_claim(weigh_claims(loop.draw(always=(fit,)), (), (), 0.0, {name}), name)
+    add_objections(loop, fit, estimate_effect_signals(problem, fit))
+    return before, name_claim(weigh_claims(loop.draw(always=(fit,)), (), (), 0.0, {name}), name)
+
+
+def test_an_end_stop_that_is_never_left_is_no_more_certain_than_a_straight_line():
+    """A spring that is stiffer than its user holds it for, always pressed: a stop that is always touched does the same."""
+    records = [record(seed, {}, STAGE.start(K=360.0), push=30.0) for seed in (4, 54)]
+    before, after = claim_before_and_after_objections(STAGE.fix(K=300.0), records, "end_stop")
+    assert before.is_established and not after.is_established
+
+
+def test_a_lag_of_the_sensor_is_no_more_certain_than_one_of_the_drive():
+    """Even where nobody lists the lag of the drive: through a linear plant it does the same at either end."""
+    records = [record(seed, {"drive_lag": {"tau_u": 0.03}}) for seed in (4, 54)]
+    before, after = claim_before_and_after_objections(STAGE, records, "sensor_lag")
     assert before.is_established and not after.is_established
 
 
