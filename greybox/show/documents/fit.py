@@ -29,7 +29,7 @@ from greybox.show.figures.records import (
     plot_spectrum,
 )
 from greybox.show.sentences import sentences, wording
-from greybox.show.sentences.estimation import list_tests_not_made, residual_tests_tables
+from greybox.show.sentences.estimation import WIDER, list_tests_not_made, residual_tests_tables
 from greybox.simulation.simulate import simulate
 
 if TYPE_CHECKING:
@@ -311,7 +311,8 @@ def _interval_kind(fit: Fit) -> str:
         return f"{which} information of the likelihood; the innovations are white"
     if sandwich and fit.uncertainty.inflation:
         widest = fit.uncertainty.largest_inflation
-        return f"sandwich covariance, which allows for the colour of the residual (up to {widest:.3g} times as wide)"
+        how_wide = f" (up to {widest:.3g} times as wide)" if widest >= WIDER else ""
+        return f"sandwich covariance, which allows for the colour of the residual{how_wide}"
     if any(e.std is not None for e in fit.parameters.values()):
         return "Gauss-Newton covariance (expected information); the residual is white"
     return ""

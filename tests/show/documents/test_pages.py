@@ -204,6 +204,10 @@ def test_a_page_says_once_that_a_model_does_not_explain_its_records() -> None:
     assert not {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.RESIDUAL_CORRELATED} & set(shown)
     assert len(shown) == len(set(shown))
     assert "which allows for the colour of the residual (up to" in render_page(page)
+    # Wider by a hundredth is as wide.
+    uncertainty = replace(fit.uncertainty, inflation=dict.fromkeys(fit.uncertainty.inflation, 1.01))
+    as_wide = render_page(describe_page(replace(fit, uncertainty=uncertainty)))
+    assert "which allows for the colour of the residual" in as_wide and "of the residual (up to" not in as_wide
 
 
 def test_what_may_be_noise_is_not_said_to_exceed_it() -> None:
