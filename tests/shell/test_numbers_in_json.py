@@ -41,7 +41,7 @@ EXEMPT = {
     r"strongest at [\d.]+ k?Hz": "the highest point of a drawn spectrum",
     r"false-alarm rate of 1 %|p below 0\.01": "the level of the tests",
     r"(casadi|numpy|python|greybox) [\d.]+": "versions stand there as texts",
-    r"95 % (interval|band|by profile|\[)|interval over 50 %": "the level of the intervals",
+    r"95 % (interval|band|by profile|confidence|\[)|interval over 50 %": "the level of the intervals",
     r"No correlation exceeds 0\.95": "from when on two constants are told as correlated",
     r"60 % of it in 25 % of the time": "from when on a misfit counts as concentrated",
 }
