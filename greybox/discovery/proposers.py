@@ -38,6 +38,7 @@ from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import AT, find_placements
 from greybox.model.effects.catalogue import effect as catalogue_effect
 from greybox.model.effects.scales import within_bounds
+from greybox.model.parts import read_parts
 
 # Constants from which an effect is held against a straight line over its variable: an end stop that is never left is a spring...
 LINE_CONSTANTS = 2
@@ -279,12 +280,13 @@ def _plan_lags_elsewhere(
 
     From an input to a reading of a linear plant, a lag does the same at either end.
     """
+    parts, listed = read_parts(search.problem.model), {e.name for e in search.candidates}
     names, jobs = answer.model.names_of(effect.name), []
     seconds = next((answer.model.values[names[q.name]] for q in effect.parameters), search.scales.period)
     site = next(b.site for b in answer.model.bound_effects if b.effect.name == effect.name)
     for place in find_placements(rest.model, tuple(map(catalogue_effect, LAGS))):
-        # One that is a candidate is on the table by its name.
-        if place.effect is None or place.site == site or place.effect.name in [e.name for e in search.candidates]:
+        # One that is a candidate is on the table by its name, and what the rig cannot have objects to nothing.
+        if place.effect is None or place.site == site or place.effect.name in listed or parts.missing(place.effect):
             continue
         model = rest.model + replace(place.effect, name=CURVE)
         lag = model.names_of(CURVE)[place.effect.parameters[0].name]

@@ -208,6 +208,9 @@ def test_a_lag_of_the_sensor_is_no_more_certain_than_one_of_the_drive():
     records = [record(seed, {"drive_lag": {"tau_u": 0.03}}) for seed in (4, 54)]
     before, after = claim_before_and_after_objections(STAGE, records, "sensor_lag")
     assert before.is_established and not after.is_established
+    # A sensor that is known not to be slow objects to nothing.
+    _, of_fast = claim_before_and_after_objections(replace(STAGE, lacks=("slow_sensor",)), records, "drive_lag")
+    assert of_fast.is_established
 
 
 @dataclass(frozen=True)
