@@ -246,7 +246,9 @@ class EffectSearch:
         # A lag has no size either: less of it is another lag. From a longer one the constants come back on the way, from a shorter one not.
         for base, promise in chosen:
             if not base.effects and only_moves_in_time(promise.effect):
-                planned += [self._plan_whole(base, promise.effect, shape) for shape in promise.shapes]
+                seconds = [max(shape.values(), default=0.0) for shape in promise.shapes]
+                longer = [shape for shape, lag in zip(promise.shapes, seconds, strict=True) if lag > seconds[0]]
+                planned += [self._plan_whole(base, promise.effect, shape) for shape in longer]
         self.add_refits(planned)
 
     def _screen(self, base: FittedCandidate) -> list[tuple[FittedCandidate, EffectPromise, float]]:
