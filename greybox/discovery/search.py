@@ -453,7 +453,10 @@ class EffectSearch:
     def drop_parts(self, best: FittedCandidate) -> None:
         """A winner without each of its effects: what a part takes is the difference, and a plain model that was stuck is no ground."""
         for name in best.effects:
-            if (rest := self.problem.refit_without(best, name)) is None:
+            # What stands beside an effect may need it: a curve over its state goes with it.
+            others, without = [e for e in best.effects if e != name], partial(self.problem.refit_without, best, name)
+            rest = self.problem.failures.attempt(SearchStage.PREPARATION, tuple(others), without, None)
+            if rest is None:
                 continue
             self.table.add(rest)
             if not rest.effects and rest.cost < self.baseline.cost:

@@ -9,10 +9,12 @@ from scipy.linalg import expm
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.base.errors import ModelError
 from greybox.discovery.candidates import estimate_scales, list_candidates
 from greybox.discovery.claims import Weights, name_claim, weigh_claims
 from greybox.discovery.conclusion import draw_with_parts, leave_out_small
 from greybox.discovery.effect_signal import estimate_effect_signals
+from greybox.discovery.execution import FailureLog, SearchStage
 from greybox.discovery.holdout import HoldoutScores, ValidationSet
 from greybox.discovery.linear import EffectPromise
 from greybox.discovery.policy import DiscoveryPolicy
@@ -251,6 +253,22 @@ def test_a_look_above_the_smaller_set_goes_on_where_it_promises_to_pass_it(promi
     EffectSearch.add_refits(loop, [(SimpleNamespace(cost=100.0), look)])
     assert ("look" in fits.carried) == goes_on and ("carried" in added) == goes_on
     assert "absent" in added
+
+
+def test_a_part_that_another_needs_does_not_keep_the_others_in_place():
+    """A curve over the state of a hysteresis has no place without it."""
+
+    def refit_without(fit, name):
+        if name == "hysteresis":
+            raise ModelError("the curve has no variable")
+        return SimpleNamespace(effects=("hysteresis",), cost=2.0)
+
+    failures, added = FailureLog(), []
+    problem = SimpleNamespace(failures=failures, refit_without=refit_without)
+    loop = SimpleNamespace(problem=problem, table=SimpleNamespace(add=added.append), baseline=SimpleNamespace(cost=1.0))
+    EffectSearch.drop_parts(loop, SimpleNamespace(effects=("hysteresis", "curve")))
+    assert [fit.effects for fit in added] == [("hysteresis",)]
+    assert failures.find(SearchStage.PREPARATION, ("curve",)) is not None
 
 
 @pytest.mark.parametrize(("left_out", "looked_at"), [(frozenset(), ["drag", "load"]), (frozenset({"creep"}), ["load"])])
