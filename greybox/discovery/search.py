@@ -455,7 +455,7 @@ class EffectSearch:
         for name in best.effects:
             # What stands beside an effect may need it: a curve over its state goes with it.
             others, without = [e for e in best.effects if e != name], partial(self.problem.refit_without, best, name)
-            rest = self.problem.failures.attempt(SearchStage.PREPARATION, tuple(others), without, None)
+            rest = self.problem.failures.attempt(SearchStage.EVIDENCE, tuple(others), without, None)
             if rest is None:
                 continue
             self.table.add(rest)

@@ -268,7 +268,7 @@ def test_a_part_that_another_needs_does_not_keep_the_others_in_place():
     loop = SimpleNamespace(problem=problem, table=SimpleNamespace(add=added.append), baseline=SimpleNamespace(cost=1.0))
     EffectSearch.drop_parts(loop, SimpleNamespace(effects=("hysteresis", "curve")))
     assert [fit.effects for fit in added] == [("hysteresis",)]
-    assert failures.find(SearchStage.PREPARATION, ("curve",)) is not None
+    assert failures.find(SearchStage.EVIDENCE, ("curve",)) is not None
 
 
 @pytest.mark.parametrize(("left_out", "looked_at"), [(frozenset(), ["drag", "load"]), (frozenset({"creep"}), ["load"])])
