@@ -62,7 +62,7 @@ from greybox.discovery.result import Discovery, RankedCandidate, quote_test_erro
 from greybox.discovery.search import LEAST_PROMISE, EffectSearch, find_named_winner
 from greybox.discovery.summary import list_law_ranges, summarise, summarise_laws
 from greybox.discovery.surrogate import Surrogate, fit_stand_in
-from greybox.discovery.table import RESAMPLES, Draws, FitTable, key_of
+from greybox.discovery.table import RESAMPLES, Draws, FitTable, SetKey, key_of
 from greybox.estimation import Fit
 from greybox.model.parts import read_parts
 
@@ -568,18 +568,18 @@ def draw_with_parts(search: EffectSearch, always: Sequence[FittedCandidate]) -> 
     A curve takes the place of one effect of a set, and may do the work of the others as well: beside a constant, a gain of a sensor that
     had imitated it.
     """
+    tried = set[SetKey]()
     while True:
         draws = search.draw(RESAMPLES, always)
         if not draws.sets:
             return draws
         leading = draws.sets[Weights.of(draws).leading].candidate
         parts = [search.table.without(leading, name) for name in leading.effects]
-        if len(parts) < 2 or all(parts) or not any(map(is_shape_correction, leading.effects)):
+        has_curve = any(map(is_shape_correction, leading.effects))
+        if not has_curve or len(parts) < 2 or all(parts) or key_of(leading) in tried:
             return draws
-        known = len(search.table.candidates)
+        tried.add(key_of(leading))
         search.drop_parts(leading)
-        if len(search.table.candidates) == known or search.problem.executor.is_late:
-            return search.draw(RESAMPLES, always)
 
 
 def leave_out_small(table: FitTable, winner: FittedCandidate) -> FittedCandidate:

@@ -453,7 +453,7 @@ class EffectSearch:
     def drop_parts(self, best: FittedCandidate) -> None:
         """A winner without each of its effects: what a part takes is the difference, and a plain model that was stuck is no ground."""
         for name in best.effects:
-            # What stands beside an effect may need it: a curve over its state goes with it.
+            # What stands beside an effect may need it: a curve over its state has no place without it.
             others, without = [e for e in best.effects if e != name], partial(self.problem.refit_without, best, name)
             rest = self.problem.failures.attempt(SearchStage.EVIDENCE, tuple(others), without, None)
             if rest is None:
