@@ -110,7 +110,7 @@ def _weigh_answer(answer: SearchAnswer, is_last: bool = False) -> SearchAnswer:
     answer.problem.executor.release_reserve()
     weigh = partial(_weigh, answer)
     weighed: SearchAnswer = answer.problem.failures.attempt(
-        SearchStage.EVIDENCE, answer.candidate.effects, weigh, answer
+        SearchStage.WEIGHING, answer.candidate.effects, weigh, answer
     )
     is_cut = bool(answer.problem.executor.skipped)  # not all rivals were tried
     weighed = replace(weighed, grounds=replace(weighed.grounds, is_cut=is_cut))
@@ -120,7 +120,7 @@ def _weigh_answer(answer: SearchAnswer, is_last: bool = False) -> SearchAnswer:
     search, prefer = answer.search, partial(_put_usual_first, weighed)
     known = set(map(key_of, search.table.candidates))
     usual: SearchAnswer = answer.problem.failures.attempt(
-        SearchStage.EVIDENCE, weighed.candidate.effects, prefer, weighed
+        SearchStage.WEIGHING, weighed.candidate.effects, prefer, weighed
     )
     # What objects to the usual set is on the table now: where one of these wins, it is the answer, and is weighed as any other.
     if is_last or len(search.table.candidates) == len(known):
@@ -518,7 +518,7 @@ def _weigh(answer: SearchAnswer) -> SearchAnswer:
     for handover in range(MOST_HANDOVERS + 1):
         chosen = answer.candidate
         objecting = partial(add_objections, search, chosen, answer.signals)
-        has_rivals = problem.failures.attempt(SearchStage.EVIDENCE, chosen.effects, objecting, None) is not None
+        has_rivals = problem.failures.attempt(SearchStage.WEIGHING, chosen.effects, objecting, None) is not None
         draws = draw_with_parts(search, (chosen,))
         winner = leave_out_small(table, find_named_winner(draws, search.baseline))
         if key_of(winner) == key_of(chosen) or handover == MOST_HANDOVERS or problem.executor.is_late:

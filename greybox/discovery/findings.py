@@ -63,6 +63,7 @@ class DiscoveryCode(StrEnum):
     LEARNT_FROM_VALIDATION = "learnt_from_validation"
     ERRORS_GROW = "errors_grow"
     TIME_OVER = "time_over"
+    STAGE_FAILED = "stage_failed"
     REFIT_ELSEWHERE = "refit_elsewhere"
     PLAIN_WAS_STUCK = "plain_was_stuck"
     TEST_ERROR = "test_error"

@@ -321,6 +321,12 @@ class RefitComparison:
     is_settled: bool = True
     is_late: bool = False
 
+    @property
+    def is_worse(self) -> bool:
+        """Whether the other one ends with a larger error on the records that were fitted, all outputs together."""
+        fitted = [e for e in self.errors if e["records"] == "estimation"]
+        return sum(math.log(max(e["after"], TINY) / max(e["before"], TINY)) for e in fitted) > 0
+
 
 def compare_with_refit(fit: Fit, again: Fit) -> RefitComparison:
     """``fit`` beside the fit ``again`` that began where it ended."""
@@ -353,7 +359,7 @@ def finish_fit(
     best = RefitComparison(fit, is_settled=False, is_late=True)
     # It begins at the answer: that it stands there is no trouble for which other starts would have to be searched from.
     options = replace(user.options, other_starts=0, exchange=False)
-    for _ in range(most):
+    for made in range(most):
         if problem.executor.is_late:
             break
         again = estimate(fit.model, problem.experiments, noise=user.noise, quiet=user.quiet, options=options)
@@ -365,6 +371,9 @@ def finish_fit(
         best = compare_with_refit(fit, again)
         if best.is_settled:
             return RefitComparison(again)
+        # Constants do not carry all of an end along: where a fit of one's own was better than the one that begins there, it stands.
+        if made and best.is_worse:
+            break
         fit = again
     return best
 

@@ -30,7 +30,7 @@ from greybox.discovery.answer import SearchAnswer, make_answer
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
 from greybox.discovery.conclusion import add_test_error, conclude, leave_out_small
 from greybox.discovery.decision import judge_effect, judge_validation_only
-from greybox.discovery.execution import PARALLEL_SECONDS, RefitExecutor, RefitJournal, SearchStage
+from greybox.discovery.execution import PARALLEL_SECONDS, FailureLog, RefitExecutor, RefitJournal, SearchStage
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import HoldoutScores, ValidationSet
 from greybox.discovery.localisation import localise_residual
@@ -284,7 +284,7 @@ def discover(
         witnesses = (*answer.problem.experiments, *answer.validation.records)
         compare = partial(follow_conditions, result.extended, witnesses, problem.options)
         trends = problem.failures.attempt(SearchStage.EVIDENCE, tuple(e["name"] for e in result.effects), compare, ())
-        result = replace(result, findings=(*result.findings, *trends))
+        result = replace(result, findings=(*tell_failed_stages(problem.failures), *result.findings, *trends))
         fitted = {fit.effects[0] for fit in problem.fitted if len(fit.effects) == 1}
         failed = failed_candidates(listed.effects, problem.failures, fitted)
         not_reached: dict[str, Finding] = {}
@@ -302,6 +302,19 @@ def discover(
             failures=tuple(problem.failures.entries.values()),
             seconds=time.perf_counter() - began,
         )
+
+
+# Stages that fail as a whole: without one, what is said is less than the records carry.
+WHOLE_STAGES = (SearchStage.WEIGHING, SearchStage.LAWS)
+
+
+def tell_failed_stages(failures: FailureLog) -> tuple[Finding, ...]:
+    """That a whole stage of a search failed, and why: its answer is what there was without it."""
+    return tuple(
+        Finding(DiscoveryCode.STAGE_FAILED, Severity.WARNING, str(f.stage), {"reason": f.reason})
+        for f in failures.entries.values()
+        if f.stage in WHOLE_STAGES
+    )
 
 
 # Misfit of the plain model from its start values over that of the one in the answer, from which the first was in another optimum.

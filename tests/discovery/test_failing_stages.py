@@ -45,7 +45,7 @@ def fail(*_, **__):
     ("place", "stage"),
     [
         ("conclusion.localise_residual", SearchStage.LOCALISATION),
-        ("conclusion.add_objections", SearchStage.EVIDENCE),
+        ("conclusion.add_objections", SearchStage.WEIGHING),
         ("conclusion.estimate_effect_signals", SearchStage.EVIDENCE),
         ("proposers.list_shape_corrections", SearchStage.SHAPE_CORRECTION),
     ],
@@ -59,6 +59,20 @@ def test_a_stage_that_fails_does_not_end_the_search(rig, monkeypatch, place, sta
         assert found.verdict == "partly"  # no name is certain that was held against no rival; the place is
         assert not any(e["grade"] == "established" for e in found.effects)
         assert deepest_established(found.claims).name == ""
+    is_whole = stage is SearchStage.WEIGHING
+    told = [str(f) for f in found.findings if f.code == DiscoveryCode.STAGE_FAILED]
+    assert (
+        told
+        == ["the answer could not be weighed against its rivals, so no name of an effect is certain: on purpose"]
+        * is_whole
+    )
+
+
+def test_an_answer_that_could_not_be_weighed_says_so(rig, monkeypatch):
+    monkeypatch.setattr("greybox.discovery.conclusion.weigh_claims", fail)
+    found = answer(rig)
+    assert not found.claims
+    assert [f.subject for f in found.findings if f.code == DiscoveryCode.STAGE_FAILED] == [SearchStage.WEIGHING]
 
 
 def test_what_comes_after_an_unknown_effect_may_fail_as_well(rig, monkeypatch):

@@ -196,6 +196,13 @@ def test_a_fit_that_does_not_end_leaves_the_one_before(monkeypatch):
     assert not finished.is_settled and finished.status == "iteration_limit"
 
 
+def test_a_fit_that_ends_worse_than_where_it_began_leaves_the_one_before(monkeypatch):
+    # The first is what a fit of one's own makes of the search's end, be it worse; the third follows none.
+    finished, made = finish(monkeypatch, EndedFit(0.7), EndedFit(0.8), EndedFit(1.6), EndedFit(1.8))
+    assert made == 2 and finished.fit.error == 0.8
+    assert not finished.is_settled and [(e["before"], e["after"]) for e in finished.errors] == [(0.8, 1.6)]
+
+
 def test_where_the_time_is_over_it_is_said_that_nobody_tried(monkeypatch):
     finished, made = finish(monkeypatch, EndedFit(1.0), EndedFit(0.9), is_late=True)
     assert made == 0 and finished.fit.error == 1.0

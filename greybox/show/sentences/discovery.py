@@ -12,6 +12,7 @@ from greybox.discovery.claims import Depth, split_names
 from greybox.discovery.curve_shape import TIME, Parity, ShapeKind
 from greybox.discovery.decision import Grade
 from greybox.discovery.disturbance_sites import SiteKind
+from greybox.discovery.execution import SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
 from greybox.discovery.plausibility import MOST_ODDS
@@ -539,6 +540,12 @@ def _refit_elsewhere(finding: Finding) -> str:
     return f"{finding.subject}: the last fit had not settled. Another that begins at these constants{ended} changes {moves}."
 
 
+# What a stage of a search would have said.
+FAILED_STAGES = {
+    SearchStage.WEIGHING: "the answer could not be weighed against its rivals, so no name of an effect is certain",
+    SearchStage.LAWS: "no equation could be looked for",
+}
+
 register(
     {
         # The answer.
@@ -588,6 +595,7 @@ register(
         ).format(**f.values),
         DiscoveryCode.TIME_OVER: "from {seconds:.3g} s on, as asked, the search began no further fit: this is the best answer so far, and"
         " no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
+        DiscoveryCode.STAGE_FAILED: lambda f: f"{FAILED_STAGES[f.subject]}: {f.values['reason']}",
         DiscoveryCode.SEEN_THROUGH_RESPONSE: "{subject} is run from outside: effects at its inputs were seen through a linear response"
         " that follows {share:percent 3} of its own, and those that were found are fitted with the plant itself",
         DiscoveryCode.NO_INPUT_RESPONSE: "no effect at an input of {subject} was tried: no linear response to its inputs could be found",

@@ -191,6 +191,12 @@ FINDINGS = [
         "from 60 s on, as asked, the search began no further fit: this is the best answer so far, and no effect of it is"
         " established; repeat the command to continue with its finished refits, or give it more time",
     ),
+    (
+        Code.STAGE_FAILED,
+        *("weighing", {"reason": "the run overflows"}),
+        "the answer could not be weighed against its rivals, so no name of an effect is certain: the run overflows",
+    ),
+    (Code.STAGE_FAILED, *("laws", {"reason": "no run"}), "no equation could be looked for: no run"),
     (Code.NOT_REACHED, *("cubic_stiffness", {}), "the time was over before it was tried"),
     (
         Code.REFIT_ELSEWHERE,
