@@ -308,7 +308,7 @@ class System:
     def jacobian(self) -> ca.Function:
         """``(x, u, p) -> d rhs / d x`` (nx, nx), dry friction left out (it has no slope)."""
         smooth = ca.substitute(self.rhs, self.direction, ca.SX.zeros(len(self.dry)))
-        return ca.Function("jacobian", [self.x, self.u, self.p], [ca.jacobian(smooth, self.x)])
+        return ca.Function("jacobian", [self.x, self.u, self.p], [ca.densify(ca.jacobian(smooth, self.x))])
 
     @cached_property
     def rhs_function(self) -> ca.Function:

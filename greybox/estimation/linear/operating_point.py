@@ -15,6 +15,7 @@ from greybox.estimation.linear.exported_model import ExportFinding, format_signa
 from greybox.model import Input, Model, State
 from greybox.model.effect import InputDelay
 from greybox.model.expressions.graph import Switches
+from greybox.simulation.integrators.step import call_function
 
 # The equations of a model as numbers at a point: rates, outputs, what each balance lacks, and slopes on either side.
 
@@ -95,15 +96,15 @@ class ModelFunctions:
 
     def rates(self, z: np.ndarray, p: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """``dx/dt`` (nx,), dry friction acting against ``direction``."""
-        return self._rates(z, p, direction).full().ravel()
+        return call_function(self._rates, z, p, direction)[0].ravel()
 
     def slopes(self, z: np.ndarray, p: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """``d rates / d z`` (nx, nx + nu) as differentiation gives it, kinks or not."""
-        return self._slopes(z, p, direction).full()
+        return call_function(self._slopes, z, p, direction)[0]
 
     def outputs(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
         """``y`` (ny,)."""
-        return self._outputs(z, p).full().ravel()
+        return call_function(self._outputs, z, p)[0].ravel()
 
     def updated(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
         """``z`` with the states that are set after each step as that sets them."""
@@ -121,9 +122,9 @@ class ModelFunctions:
         # Friction acts against the motion; at standstill it takes up what is left of the balance.
         direction = self.direction(z)
         rates = self.rates(z, p, direction)
-        amounts, storages = (v.full().ravel() for v in self._amounts(z, p))
+        amounts, storages = (v.ravel() for v in call_function(self._amounts, z, p))
         moves = np.abs(self.slopes(z, p, direction) * self.sizes(z, p)).sum(axis=1)
-        static = self._static(z, p).full().ravel()
+        static = call_function(self._static, z, p)[0].ravel()
         residuals = []
         for balance in self.system.balances:
             k = self.system.state_names.index(balance.state)
@@ -148,8 +149,8 @@ class ModelFunctions:
         """For each body at standstill: the push that dry friction holds, and the most it can hold, in the balance's unit."""
         if not self.bodies:
             return {}
-        rates, static = self.rates(z, p, 0 * self.direction(z)), self._static(z, p).full().ravel()
-        storages = self._amounts(z, p)[1].full().ravel()
+        rates, static = self.rates(z, p, 0 * self.direction(z)), call_function(self._static, z, p)[0].ravel()
+        storages = call_function(self._amounts, z, p)[1].ravel()
         return {k: (float(rates[k] * storages[k]), float(static[k])) for k in self.bodies if z[k] == 0}
 
     @cached_property

@@ -16,7 +16,7 @@ from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.integrators.implicit import MAX_IMPLICIT_STATES, midpoint, radau
 from greybox.simulation.integrators.input_delay import add_input_history, require_history
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate, find_fast_relaxing_states, mixed, rk4
-from greybox.simulation.integrators.step import MANY_STATES, InputHistory, Step
+from greybox.simulation.integrators.step import MANY_STATES, InputHistory, Step, call_function
 from greybox.simulation.integrators.taylor import choose_taylor_step, taylor
 
 
@@ -77,7 +77,9 @@ def choose_substeps(
     x = x[:1] if system.linear else x  # the eigenvalues are the same at every state
     u = np.zeros(system.u.numel())
     exact_states = list(system.relaxing if relaxing is None else relaxing)
-    fastest = max((compute_fastest_rate(system.jacobian(row, u, p).full(), exact_states) for row in x), default=0.0)
+    fastest = max(
+        (compute_fastest_rate(call_function(system.jacobian, row, u, p)[0], exact_states) for row in x), default=0.0
+    )
     # h max|lambda| <= eigenvalue_step, with h = longest / number.
     number = max(1, math.ceil(longest * fastest / policy.eigenvalue_step))
     # With a delayed input either side of the cut takes half of them, and may be nearly the whole interval.
@@ -135,7 +137,7 @@ def run_step(
     for k in range(len(u) - 1):
         # The flags of a delayed input run from row to row, everything else is held.
         ends = u[k][:, None] + (u[k + 1] - u[k])[:, None] * (share if step.past is not None else 0 * share)
-        path[k + 1] = advance(path[k], ends[:, :-1], ends[:, 1:], *common).full()[:, -1]
+        path[k + 1] = call_function(advance, path[k], ends[:, :-1], ends[:, 1:], *common)[0][:, -1]
     return path
 
 

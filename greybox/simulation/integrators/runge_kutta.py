@@ -13,7 +13,14 @@ from greybox.base import ModelError
 from greybox.base.numerics import PHI_SERIES_BELOW, PHI_SERIES_TERMS
 from greybox.model import System
 from greybox.simulation.integrators.composition import make_step
-from greybox.simulation.integrators.step import AdvanceFunction, InputHistory, IntegrationMethod, RateFunction, Step
+from greybox.simulation.integrators.step import (
+    AdvanceFunction,
+    InputHistory,
+    IntegrationMethod,
+    RateFunction,
+    Step,
+    call_function,
+)
 
 # States that relax, ``dz/dt = alpha - beta z`` with ``beta`` of any size: stepped by their exponential, the others by RK4.
 #
@@ -46,7 +53,7 @@ def find_fast_relaxing_states(system: System, p: np.ndarray, x: np.ndarray) -> t
     others = ca.vertcat(system.x, system.u, system.direction)
     fast_states = set(system.relaxing)
     u = np.zeros(system.u.numel())
-    jacobians = [system.jacobian(row, u, p).full() for row in x]
+    jacobians = [call_function(system.jacobian, row, u, p)[0] for row in x]
     for k in range(system.x.numel()):
         own_rate = ca.jacobian(system.rhs[k], system.x[k])
         has_friction = any(d.state == k for d in system.dry)
