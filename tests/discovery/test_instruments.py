@@ -71,6 +71,7 @@ def test_either_end_of_the_range_of_a_sensor_is_named(side):
     assert abs(found.extended.model.values["y_max"] - end) < 0.01
 
 
+@pytest.mark.slow
 def test_weighed_constants_that_take_a_gain_are_said_where_nothing_is_established():
     """A weight of one per cent gives way to a record: the model follows it, and the answer says at what price."""
     found = search(WITH_FRICTION, swung(gain=1.15), rows=300)

@@ -159,7 +159,7 @@ LIKE_ANOTHER_ROW = (
     ("name", "late", "among"),
     [
         *(pytest.param(*case, (), marks=pytest.mark.slow) for case in (("motor", 1), ("stage", 1), ("heater", -1))),
-        ("stage", 1, LIKE_ANOTHER_ROW),
+        pytest.param("stage", 1, LIKE_ANOTHER_ROW, marks=pytest.mark.slow),
         ("heater", -1, LIKE_ANOTHER_ROW),
     ],
 )

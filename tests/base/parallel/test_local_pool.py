@@ -53,9 +53,17 @@ def start(folder: Path, doing: str, main: str = "") -> tuple[subprocess.Popen, l
     return process, workers
 
 
+# By day every signal and every job once.
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+ENDS = [
+    pytest.param(by, doing, marks=[pytest.mark.slow] * (i != j))
+    for i, by in enumerate(SIGNALS)
+    for j, doing in enumerate(JOBS)
+]
+
+
 @pytest.mark.rest
-@pytest.mark.parametrize("doing", JOBS)
-@pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(("by", "doing"), ENDS)
 def test_workers_end_with_their_parent(tmp_path, doing, by):
     process, workers = start(tmp_path, doing)
     began = time.monotonic()

@@ -130,6 +130,7 @@ def test_a_law_that_takes_nothing_of_the_error_is_none(found, monkeypatch):
     assert answer.holdout["a"].after == answer.holdout["a"].before
 
 
+@pytest.mark.slow
 def test_a_law_takes_the_error_of_a_plain_model_whose_run_goes_astray():
     """The brusselator without the reaction that ends it: its concentrations grow without end, and the law is the answer."""
     brusselator = next(system for system in SYSTEMS if system.name == "brusselator")

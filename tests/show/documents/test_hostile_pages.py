@@ -86,8 +86,14 @@ def pages(tmp_path_factory) -> dict[str, Document]:
     return {kind: describe_page(value, command="greybox", **more) for kind, (value, more) in values.items()}
 
 
+# All pages are written by one printer: by day those with most kinds of blocks.
+BY_DAY = ("comparison", "discovery", "fit")
+
+
 @pytest.mark.rest
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind not in BY_DAY)) for kind in KINDS]
+)
 def test_no_text_of_a_page_runs_or_becomes_markup(tab, pages, tmp_path, kind):
     count = itertools.count()
     page = poison(pages[kind], (f"t{next(count)} {text}" for text in itertools.cycle(MARKUP)))
