@@ -288,6 +288,8 @@ def validate_candidate(
 
 # How often a fit is begun again where the last one ended, until that leaves it where it is.
 MOST_FINISHES = 4
+# Simulations with slopes from which on no further one is begun: a fit that has taken so many will not come to rest in the next.
+MOST_FINISHING_RUNS = 1000
 # Share of an error by which a fit has moved: a third of a digit that a reader would see.
 MOVED_SHARE = 0.003
 # Standard deviations by which a constant has moved: less is no other answer.
@@ -359,6 +361,7 @@ def finish_fit(
     best = RefitComparison(fit, is_settled=False, is_late=True)
     # It begins at the answer: that it stands there is no trouble for which other starts would have to be searched from.
     options = replace(user.options, other_starts=0, exchange=False)
+    runs = 0
     for made in range(most):
         if problem.executor.is_late:
             break
@@ -372,7 +375,8 @@ def finish_fit(
         if best.is_settled:
             return RefitComparison(again)
         # Constants do not carry all of an end along: where a fit of one's own was better than the one that begins there, it stands.
-        if made and best.is_worse:
+        runs += again.solver.statistics["passes"]
+        if (made and best.is_worse) or runs >= MOST_FINISHING_RUNS:
             break
         fit = again
     return best

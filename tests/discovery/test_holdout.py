@@ -111,6 +111,7 @@ class EndedFit:
     constant: float = 1.0
     judged: float = 2.0
     status: str = "converged"
+    runs: int = 10
     validation: object = None
 
     def __post_init__(self):
@@ -123,7 +124,7 @@ class EndedFit:
 
     @property
     def solver(self):
-        return SimpleNamespace(status=self.status)
+        return SimpleNamespace(status=self.status, statistics={"passes": self.runs})
 
     @property
     def misfit(self):
@@ -194,6 +195,13 @@ def test_a_fit_that_does_not_end_leaves_the_one_before(monkeypatch):
     finished, _ = finish(monkeypatch, EndedFit(1.0), EndedFit(0.9), EndedFit(0.5, status="iteration_limit"))
     assert finished.fit.error == 0.9
     assert not finished.is_settled and finished.status == "iteration_limit"
+
+
+def test_fits_of_thousands_of_runs_are_not_repeated_until_they_settle(monkeypatch):
+    moving = [EndedFit(1 - 0.1 * k, runs=holdout.MOST_FINISHING_RUNS // 2) for k in range(1, 5)]
+    finished, made = finish(monkeypatch, EndedFit(1.0), *moving)
+    assert made == 2 and finished.fit.error == 0.9
+    assert not finished.is_settled and [(e["before"], e["after"]) for e in finished.errors] == [(0.9, 0.8)]
 
 
 def test_a_fit_that_ends_worse_than_where_it_began_leaves_the_one_before(monkeypatch):
