@@ -35,11 +35,9 @@ from fits.studies.measured_rigs import RIGS, SEARCHES, TIMING, Case, Fact, Rig
 from greybox.base.errors import GreyboxError
 from greybox.base.json_shape import to_values
 from greybox.base.texts import to_identifier
-from greybox.base.values import with_code
 from greybox.discovery.claims import TIMING as TIMING_FORM
 from greybox.discovery.claims import Depth
 from greybox.discovery.findings import DiscoveryCode
-from greybox.discovery.holdout import ValidationSet
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.validate import validate
 from greybox.model.effects.catalogue import AT
@@ -159,10 +157,8 @@ def round_trip(found: gb.Discovery, learn: gb.Experiment, records: Mapping[str, 
     with TemporaryDirectory() as folder:
         answer = found.extended
         read = load(gb.export.to_python(answer, Path(folder) / "model.py"))
-        # An answer that learnt from the first half of the record that chose it as well says so: whoever fits it has to do the same.
-        fitted = [learn]
-        if with_code(found.findings, DiscoveryCode.LEARNT_FROM_VALIDATION):
-            fitted += ValidationSet.of(records["choose"]).halve()[0]
+        # The records that the answer was fitted to: stretches of an unstable plant, rows with a known past, half of a second record too.
+        fitted = [trace.experiment for trace in answer.traces]
         # From these constants alone: other starts answer another question.
         refit = gb.fit(read, fitted, options=replace(found.options, other_starts=0, exchange=False))
         again = load(gb.export.to_python(refit, Path(folder) / "again.py"))
