@@ -15,6 +15,7 @@ from greybox.base import FileKind, Finding, Severity, StoredResult, from_json_da
 from greybox.base.errors import DataError, GreyboxError, ModelError, shorten
 from greybox.base.packing import pack, unpack
 from greybox.base.values import Printable, ReadOnly
+from greybox.data.identity import find_shared_readings
 from greybox.data.noise import BoundDirection, NoiseSource
 from greybox.data.problems import RowLabels, find_array_problems
 from greybox.estimation import result_parts
@@ -133,8 +134,13 @@ class Fit(Printable, ReadOnly, StoredResult):
 
     @property
     def judges_validation(self) -> bool:
-        """Whether validation records judge it: not with the mean of constants that each record has for itself, nor a predicting model."""
-        return bool(self.validation) and not (self.constraints.per_experiment or self.prediction.process_noise)
+        """Whether validation records judge it: none that is fitted too does.
+
+        Nor do any the mean of constants that each record has for itself, or a predicting model.
+        """
+        fitted, others = ([trace.experiment for trace in traces] for traces in (self.traces, self.validation.traces))
+        used = {id(shared.second) for shared in find_shared_readings(others, fitted)}
+        return len(used) < len(others) and not (self.constraints.per_experiment or self.prediction.process_noise)
 
     @property
     def explains_records(self) -> bool:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base import ExitCode, FitError, write_file
 from greybox.base.interrupts import hold_interrupts
+from greybox.base.values import with_code
 from greybox.shell import inputs, options
 from greybox.shell.progress import report_starts, show_fit_progress, show_progress
 from greybox.shell.study import Answer, Command, NextCommand, Study
@@ -120,9 +121,10 @@ def fit(study: Study) -> Answer:
 def next_command(study: Study, result: Fit, saved: Path) -> NextCommand:
     """What a colleague would type after a fit: what is missing, or where the model goes."""
     from greybox.data.findings import RecordCode
+    from greybox.estimation.findings import EstimationCode
 
     records = (study.model, *study.estimation)
-    if not result.success:
+    if not result.success or with_code(result.findings, EstimationCode.NO_FREEDOM):
         return study.then("check", *records)
     if not result.explains_records:
         # Readings that jump for one row swamp what the model lacks.

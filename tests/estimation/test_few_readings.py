@@ -7,6 +7,7 @@ from scipy.optimize import least_squares
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.estimation.findings import EstimationCode
+from greybox.estimation.linear.exported_model import to_plant
 from tests.support.findings import find
 
 STEP = 0.1
@@ -48,6 +49,9 @@ def test_as_many_unknowns_as_readings_leave_no_interval(rows, fixed):
     assert all(e.interval is None for e in found.parameters.values())
     finding = find(found.findings, EstimationCode.NO_FREEDOM)
     assert finding.values["readings"] == rows and finding.values["unknowns"] >= rows
+    assert str(found).startswith("lag is not tested by its records") and "explains its records" not in str(found)
+    # Whoever takes the model without the fit reads of it too.
+    assert finding in to_plant(found).findings
     # With the noise told there is something to go by.
     told = gb.fit(lag(fixed=True).fix(**fixed), run(rows, 1), noise={"y": 0.1})
     assert not [f for f in told.findings if f.code == EstimationCode.NO_FREEDOM]

@@ -13,6 +13,7 @@ from greybox.base import Finding, ModelError, Severity, format_unit
 from greybox.base.extensions import read_greybox_version
 from greybox.base.texts import to_word
 from greybox.data.experiment import Experiment
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.result import Fit
 from greybox.model import Model
 from greybox.simulation.plant import Plant, PlantModel, as_model, is_plant
@@ -152,6 +153,15 @@ class ExportedModel:
         return tuple(lines)
 
 
+# What a fit says of its constants that whoever uses the model without the fit has to know.
+DOUBTS = (
+    EstimationCode.NO_FREEDOM,
+    EstimationCode.MODEL_DOES_NOT_FOLLOW,
+    EstimationCode.DIRECTION_UNDETERMINED,
+    EstimationCode.PARAMETER_UNDETERMINED,
+)
+
+
 def to_plant(source: Fit | Model | Plant, *, with_equations: bool = True) -> ExportedModel:
     """The plant behind a fit or a model. Raises ModelError for anything else, and where it has no equations and needs them."""
     source = as_model(source) if is_plant(source) else source
@@ -172,6 +182,7 @@ def to_plant(source: Fit | Model | Plant, *, with_equations: bool = True) -> Exp
         return ExportedModel(model, findings=tuple(findings))
     if not source.success:
         findings.append(Finding(ExportFinding.FIT_FAILED, Severity.ERROR, values={"status": str(source.status)}))
+    findings += [finding for finding in source.findings if finding.code in DOUBTS]
     return ExportedModel(model, source, tuple(findings))
 
 

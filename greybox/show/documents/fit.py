@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from greybox.base import Finding, GreyboxError, Severity, format_unit
 from greybox.base import document as doc
+from greybox.base.values import with_code
 from greybox.data.findings import UNITS_TAKEN
 from greybox.data.noise import BoundDirection
 from greybox.estimation import Fit, errors, optimum, result_parts
@@ -99,7 +100,11 @@ def _sections(
 
 UNDETERMINED = (EstimationCode.PARAMETER_UNDETERMINED, EstimationCode.DIRECTION_UNDETERMINED)
 # What the answer of a fit says already.
-ANSWERED = (EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE)
+ANSWERED = (
+    EstimationCode.MISFIT_ABOVE_NOISE,
+    EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE,
+    EstimationCode.NO_FREEDOM,
+)
 
 
 def fit_answer(fit: Fit) -> str:
@@ -115,6 +120,12 @@ def fit_answer(fit: Fit) -> str:
             f"{title}: the noise is not known, so nothing says whether the error of the model is noise{_judged(fit)}."
         )
     output, m = worst
+    if free := with_code(fit.findings, EstimationCode.NO_FREEDOM):
+        readings, unknowns = (free[0].values[key] for key in ("readings", "unknowns"))
+        return (
+            f"{title} is not tested by its records: {readings} readings for {unknowns} constants and first states leave nothing that"
+            " could contradict it. Record more rows, or tell the noise (--noise)."
+        )
     if lost := fit.worse_than_constant:
         return (
             f"{title} does not explain its records: their own mean follows {wording.join_names(lost)} better than the model, and its"
@@ -164,7 +175,9 @@ def fit_tone(fit: Fit) -> doc.Tone:
     """Green where the model explains its records and those that judge it, and every constant is determined."""
     if not fit.success or fit.worse_than_constant:
         return doc.Tone.BAD
-    if not fit.explains_records or _worst(fit.judged_misfit) is None or _undetermined(fit) or _open_outputs(fit):
+    is_tested = not with_code(fit.findings, EstimationCode.NO_FREEDOM)
+    is_open = _worst(fit.judged_misfit) is None or _undetermined(fit) or _open_outputs(fit)
+    if not (fit.explains_records and is_tested) or is_open:
         return doc.Tone.CAUTION
     return doc.Tone.GOOD if fit.judges_validation else doc.Tone.PLAIN
 

@@ -178,6 +178,10 @@ def test_a_frame_is_green_only_where_the_validation_passes(fits: dict[str, tuple
     own = replace(fit.constraints, per_experiment={"lag": {"a": fit.parameters["lag"]}})
     mean = replace(fit, constraints=own, validation=replace(fit.validation, misfit=worse))
     assert fit_tone(mean) is Tone.PLAIN and "which judges nothing" in " ".join(str(mean).split())
+    # Nor does a copy of what was fitted, whatever it is called.
+    copies = replace(fit.validation, traces=[replace(trace, name="another") for trace in fit.traces])
+    copied = replace(fit, validation=copies)
+    assert fit_tone(copied) is Tone.PLAIN and "which judges nothing" in " ".join(str(copied).split())
 
 
 @pytest.mark.parametrize(
