@@ -229,7 +229,7 @@ def test_what_may_be_noise_is_not_said_to_exceed_it() -> None:
     assert m.rmse > 5 * fit.noise.std["y"] and m.noise_ratio == fit.misfit_at_least["y"] < 1.1
     assert not {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE} & codes(fit.findings)
     first, *_ = said(describe_page(fit))
-    assert "may explain its records" in first and "at least 0.650 times the noise, at most" in first
+    assert "may explain its records" in first and "at least 0.650 times the noise (at most" in first
 
 
 def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
