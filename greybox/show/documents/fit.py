@@ -142,7 +142,7 @@ def fit_answer(fit: Fit) -> str:
 
 
 def error_text(output: str, m: result_parts.Misfit) -> str:
-    """``the error in x, 14.7 µm, is at least 35.3 times the noise (at most 0.415 µm)``: the ratio and the two numbers that it comes from."""
+    """``the error in x, 14.7 µm, is at least 35.3 times the noise (at most 0.415 µm)``: the ratio and what it comes from."""
     outliers = " without outliers" * m.without_outliers
     size = m.rmse if m.error is None else m.error
     error = wording.quantity_text(size, m.unit, beside=m.noise or 0.0)
