@@ -16,10 +16,11 @@ import numpy as np
 from greybox.base.numerics import TINY
 from greybox.base.values import Check, Finding
 from greybox.discovery.candidates import family_of, generate_child_starting_points, generate_starting_points
-from greybox.discovery.claims import Weights, only_moves_in_time
+from greybox.discovery.claims import SOME_LEFT, Weights, only_moves_in_time
 from greybox.discovery.decision import EXCESS_AUTOCORRELATION, make_check
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
+from greybox.discovery.holdout import measure_structure
 from greybox.discovery.laws.search import LawProposer
 from greybox.discovery.linear import EffectPromise, LinearRun
 from greybox.discovery.policy import DiscoveryPolicy
@@ -224,7 +225,10 @@ class EffectSearch:
         if self.further or not is_level_known(self.problem.noise_model):
             return False
         is_clean = fit.per_sample <= noise_cost_limit(fit.count)
-        return is_clean and excess_autocorrelation(fit, AUTOCORRELATION_LAGS) <= EXCESS_AUTOCORRELATION
+        if not is_clean or excess_autocorrelation(fit, AUTOCORRELATION_LAGS) > EXCESS_AUTOCORRELATION:
+            return False
+        # Beside an output whose noise is told too high another's rest is lost in the sum; on the records that judge nothing was fitted.
+        return not fit.effects or measure_structure(self.table.scores, fit, only_visible=True) < SOME_LEFT
 
     def _is_worth_pairs(self, winner: FittedCandidate) -> bool:
         """Whether two effects may do together what none did alone: one takes much of what the fitted records show, and none wins."""

@@ -292,3 +292,17 @@ def test_the_usual_effects_alone_are_looked_at_for_sets_that_nobody_has_fitted(l
     # Once each, fitted or not: what is known comes up no second time.
     EffectSearch._screen(loop, base)
     assert asked == looked_at
+
+
+@pytest.mark.parametrize(("left", "is_finished"), [(0.0, True), (0.6, False)])
+def test_a_set_at_the_noise_of_the_fitted_records_is_not_the_last_where_others_show_more(
+    monkeypatch, left, is_finished
+):
+    monkeypatch.setattr("greybox.discovery.search.excess_autocorrelation", lambda *_: 0.0)
+    monkeypatch.setattr("greybox.discovery.search.measure_structure", lambda *_, **__: left)
+    monkeypatch.setattr("greybox.discovery.search.is_level_known", lambda _: True)
+    loop = SimpleNamespace(
+        laws=None, further=False, problem=SimpleNamespace(noise_model=None), table=SimpleNamespace(scores=None)
+    )
+    fit = SimpleNamespace(effects=("spring",), per_sample=1.0, count=1000)
+    assert EffectSearch._is_finished(loop, fit) is is_finished
