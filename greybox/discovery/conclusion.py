@@ -255,7 +255,8 @@ def _look_for_laws(answer: SearchAnswer, problem: DiscoveryProblem) -> tuple[Sea
     looking.run(beside)
     selected = looking.find_winner(looking.draw(RESAMPLES))
     search.baseline = looking.baseline
-    search.add_in_place(selected)
+    search.table.add(selected)
+    search.drop_parts(selected)
     return make_answer(search, selected), laws.tried
 
 
@@ -605,7 +606,8 @@ def leave_out_small(table: FitTable, winner: FittedCandidate) -> FittedCandidate
 
 def _hand_over(answer: SearchAnswer, winner: FittedCandidate) -> SearchAnswer:
     """The answer with another set in its place; as it was where that cannot be run over the records that judge."""
-    answer.search.add_in_place(winner)
+    answer.search.table.add(winner)
+    answer.search.drop_parts(winner)
     made = make_answer(answer.search, winner)
     if key_of(made.candidate) != key_of(winner):
         return answer

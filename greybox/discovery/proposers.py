@@ -68,6 +68,7 @@ def add_objections(search: EffectSearch, answer: FittedCandidate, signals: Seque
             (SearchStage.SHAPE_CORRECTION, rest, partial(_list_simpler, answer, effect, rest, signals)),
             (SearchStage.EVIDENCE, rest, partial(list_constants_in_place, effect, rest)),
         ]
+    search.add_in_place(answer)
     offered: list[tuple[FittedCandidate, Effect]] = []
     for stage, base, offer in offers:
         listed: list[Effect] = failures.attempt(stage, answer.effects, offer, [])

@@ -239,9 +239,9 @@ class EffectSearch:
 
     # What is tried
 
-    def _add_promising(self, bases: Sequence[FittedCandidate]) -> None:
-        """The most promising effects beside each base, the first of each family and site, refitted."""
-        promises = [promise for base in bases for promise in self._screen(base)]
+    def _add_promising(self, bases: Sequence[FittedCandidate], anew: bool = False) -> None:
+        """The most promising effects beside each base, the first of each family and site, refitted; ``anew`` as in `_screen`."""
+        promises = [promise for base in bases for promise in self._screen(base, anew)]
         chosen = list(self._choose(promises))
         planned = [self._plan(one) for one in chosen]
         for base in bases:
@@ -255,12 +255,15 @@ class EffectSearch:
                 planned += [self._plan_whole(base, promise.effect, shape) for shape in longer]
         self.add_refits(planned)
 
-    def _screen(self, base: FittedCandidate) -> list[tuple[FittedCandidate, EffectPromise, float]]:
-        """What each further effect promises beside a set, and the sum of squares that it would leave."""
+    def _screen(self, base: FittedCandidate, anew: bool = False) -> list[tuple[FittedCandidate, EffectPromise, float]]:
+        """What each further effect promises beside a set, and the sum of squares that it would leave.
+
+        Each is looked at once; ``anew`` those too that were not among the first then, if nobody has fitted them.
+        """
         left = [
             e
             for e in self.candidates
-            if (key_of(base), e.name) not in self._screened
+            if (anew or (key_of(base), e.name) not in self._screened)
             and e.name not in base.effects
             and not any(self._root(e.name) == self._root(name) for name in base.effects)
         ]
@@ -268,8 +271,8 @@ class EffectSearch:
             self.problem.executor.skipped += len(left)
             return []
         self._screened |= {(key_of(base), e.name) for e in left}
-        if self.left_out:
-            # The usual effects alone are searched for the sets that nobody has fitted.
+        if self.left_out or anew:
+            # The usual effects alone are searched for the sets that nobody has fitted, and so is what may stand in the place of an effect.
             left = [e for e in left if self.table.get({*base.effects, e.name}) is None]
         cost, promises = self.promise(base, left, self._shapes)
         if not (base.effects or self.left_out):
@@ -467,11 +470,15 @@ class EffectSearch:
                 self.baseline = rest
 
     def add_in_place(self, chosen: FittedCandidate) -> None:
-        """What else may stand in the place of each effect of a set: nothing, and the most promising of the others."""
-        self.table.add(chosen)
-        self.drop_parts(chosen)
+        """What else may stand in the place of each effect of a set of several: the most promising of the others.
+
+        Beside a rest that was one of several bases two effects were tried, and beside one that was none nothing: an equal of what the set
+        has may be the next. Beside the plain model each family and site was.
+        """
+        if len(chosen.effects) < 2:
+            return
         rests = [self.table.without(chosen, name) for name in chosen.effects]
-        self._add_promising([rest for rest in rests if rest is not None])
+        self._add_promising([rest for rest in rests if rest is not None], anew=True)
 
     def add_beside(self, promises: Iterable[tuple[FittedCandidate, EffectPromise]]) -> None:
         """Sets with an effect more, each refitted from where the screen has it and on the table."""

@@ -292,6 +292,21 @@ def test_the_usual_effects_alone_are_looked_at_for_sets_that_nobody_has_fitted(l
     # Once each, fitted or not: what is known comes up no second time.
     EffectSearch._screen(loop, base)
     assert asked == looked_at
+    # In the place of an effect those that nobody has fitted are looked at again: there were better ones beside other sets.
+    EffectSearch._screen(loop, base, anew=True)
+    assert asked == [*looked_at, "load"]
+
+
+@pytest.mark.parametrize(("effects", "beside"), [(("load", "drag"), ["rest of load", "rest of drag"]), (("load",), [])])
+def test_an_answer_of_several_effects_is_held_against_others_in_the_place_of_each(effects, beside):
+    """A constant at an input and one at a balance are equals, whichever of them the search has met first."""
+    looked_at = []
+    loop = SimpleNamespace(
+        table=SimpleNamespace(without=lambda _, name: f"rest of {name}"),
+        _add_promising=lambda rests, anew: looked_at.extend(rests) if anew else None,
+    )
+    EffectSearch.add_in_place(loop, SimpleNamespace(effects=effects))
+    assert looked_at == beside
 
 
 @pytest.mark.parametrize(("left", "is_finished"), [(0.0, True), (0.6, False)])
