@@ -177,7 +177,7 @@ def _write_shifts(finding: Finding) -> str:
         change = f"changes from {s['before']:.4g} to {s['after']:.4g} {s['unit']}" if known else "differs"
         deviations = float(f"{s['deviations']:.2g}")
         by_parts.setdefault(tuple(s["parts"]), []).append(
-            f"{s['name']} {change} ({deviations:g} times what the noise would change it)"
+            f"{s['name']} {change} ({deviations:g} standard deviations by the noise alone)"
         )
     shifts = "; ".join(
         f"between {_write_part(first)} and {_write_part(second)}, {', '.join(changes)}"

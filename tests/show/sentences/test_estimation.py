@@ -267,8 +267,8 @@ GOLDEN = [
                 }
             ]
         },
-        "not constant: between experiment 'day 1' and experiment 'day 2', K changes from 10 to 12 N/m (4 times what"
-        " the noise would change it); it compensates for an effect that the model lacks, or the plant changes",
+        "not constant: between experiment 'day 1' and experiment 'day 2', K changes from 10 to 12 N/m (4 standard"
+        " deviations by the noise alone); it compensates for an effect that the model lacks, or the plant changes",
     ),
     (
         "parameter_not_constant",
@@ -293,8 +293,8 @@ GOLDEN = [
                 },
             ]
         },
-        "not constant: between the first half of the record and the second half of the record, K changes from 10 to 12 N/m (4 times"
-        " what the noise would change it), B changes from 2 to 1 N*s/m (210 times what the noise would change it); "
+        "not constant: between the first half of the record and the second half of the record, K changes from 10 to 12 N/m (4"
+        " standard deviations by the noise alone), B changes from 2 to 1 N*s/m (210 standard deviations by the noise alone); "
         "they compensate for an effect that the model lacks, or the plant changes",
     ),
     (
@@ -312,7 +312,7 @@ GOLDEN = [
                 }
             ]
         },
-        "not constant: between experiment 'a' and experiment 'b', K differs (35 times what the noise would change it); it compensates"
+        "not constant: between experiment 'a' and experiment 'b', K differs (35 standard deviations by the noise alone); it compensates"
         " for an effect that the model lacks, or the plant changes",
     ),
     (
