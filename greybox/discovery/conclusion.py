@@ -120,7 +120,7 @@ def _weigh_answer(answer: SearchAnswer, is_last: bool = False) -> SearchAnswer:
     search, prefer = answer.search, partial(_put_usual_first, weighed)
     known = set(map(key_of, search.table.candidates))
     usual: SearchAnswer = answer.problem.failures.attempt(
-        SearchStage.WEIGHING, weighed.candidate.effects, prefer, weighed
+        SearchStage.EVIDENCE, weighed.candidate.effects, prefer, weighed
     )
     # What objects to the usual set is on the table now: where one of these wins, it is the answer, and is weighed as any other.
     if is_last or len(search.table.candidates) == len(known):

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
@@ -132,15 +133,17 @@ class Fit(Printable, ReadOnly, StoredResult):
         """What the model is judged by: its free run, or the prediction that its process noise corrects."""
         return self.prediction.one_step if self.prediction.process_noise else self.misfit
 
-    @property
+    @cached_property
     def judges_validation(self) -> bool:
         """Whether validation records judge it: none that is fitted too does.
 
         Nor do any the mean of constants that each record has for itself, or a predicting model.
         """
+        if self.constraints.per_experiment or self.prediction.process_noise:
+            return False
         fitted, others = ([trace.experiment for trace in traces] for traces in (self.traces, self.validation.traces))
         used = {id(shared.second) for shared in find_shared_readings(others, fitted)}
-        return len(used) < len(others) and not (self.constraints.per_experiment or self.prediction.process_noise)
+        return len(used) < len(others)
 
     @property
     def explains_records(self) -> bool:
