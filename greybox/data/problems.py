@@ -55,7 +55,7 @@ def find_array_problems(
     problems: list[str] = []
     if len(time) < 2:
         problems.append(f"{len(time)} rows; a record needs at least 2")
-    problems += _find_time_problems(time, labels)
+    problems += find_time_problems(time, labels)
     for name, values in inputs.items():
         problems += _find_rows(
             f"input {name!r} is empty or NaN",
@@ -142,7 +142,8 @@ def is_constant(values: np.ndarray) -> bool:
     return bool(len(known) == 0 or np.all(known == known[0]))
 
 
-def _find_time_problems(time: np.ndarray, labels: RowLabels) -> list[str]:
+def find_time_problems(time: np.ndarray, labels: RowLabels) -> list[str]:
+    """Why these seconds (N,) are no time of a record: every row needs one, and each is later than that before."""
     unknown = _find_rows("time is empty or NaN", np.isnan(time), labels, "every row needs its time")
     unknown += _find_rows("time is infinite", np.isinf(time), labels, "every row needs its time")
     huge = np.isfinite(time) & (np.abs(time) > LARGEST_VALUE)
@@ -154,6 +155,7 @@ def _find_time_problems(time: np.ndarray, labels: RowLabels) -> list[str]:
     rule = "time must increase from row to row"
     replicates = (
         "of other readings at the same time make a record for each replicate (rep1.csv rep2.csv), or a second output"
+        + _describe_coarse_clock(step)
     )
     remedy = (
         "the newest row comes first: sort the rows by their time"
@@ -164,6 +166,29 @@ def _find_time_problems(time: np.ndarray, labels: RowLabels) -> list[str]:
         *_find_rows("time is repeated", repeated, labels, f"{rule}; {replicates}", time),
         *_find_rows("time goes back", backwards, labels, f"{rule}; {remedy}", time),
     ]
+
+
+# Steps of a clock from which it is told by them, and how many rows two of them may differ by.
+FEWEST_TICKS, UNEVEN_ROWS = 3, 1
+# Share of a step of the clock by which two of them may differ: times of day in seconds have lost their last digits.
+CLOCK_ROUNDING = 1e-6
+
+
+def _describe_coarse_clock(step: np.ndarray) -> str:
+    """What to do with times (N - 1 steps) of a clock that moves once in several rows; "" where they are of no such clock."""
+    ticks = np.flatnonzero(step)
+    if len(ticks) < FEWEST_TICKS or step.min() < 0:
+        return ""
+    rows, (shortest, longest) = np.diff(ticks), (step[ticks].min(), step[ticks].max())
+    if longest - shortest > CLOCK_ROUNDING * longest or np.ptp(rows) > UNEVEN_ROWS or rows.min() == 1:
+        return ""
+    # Rows between the first tick and the last: whole steps of the clock.
+    period = longest * len(rows) / (ticks[-1] - ticks[0])
+    return (
+        f"; of rows that come faster than the clock counts, {(ticks[-1] - ticks[0]) / len(rows):.3g} in {longest:.6g} s, leave the column"
+        f" out, '-' in its place among the names of all columns, columns=['-', 'u', ...] (shell: --columns=-,u,...), and give"
+        f" sampling_time={period:.6g} (shell: --sampling-time {period:.6g})"
+    )
 
 
 def _find_rows(what: str, bad: np.ndarray, labels: RowLabels, rule: str, time: np.ndarray | None = None) -> list[str]:

@@ -38,7 +38,7 @@ from greybox.data.columns import (
 from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME, Column, UnitSource, parse_header, read_endings, read_time
 from greybox.data.notation import COUNT, converts, read_conversion, read_notation
-from greybox.data.problems import find_repeats, is_constant
+from greybox.data.problems import find_repeats, find_time_problems, is_constant
 from greybox.data.stamps import Stamps, from_digits, from_epoch
 from greybox.data.time_base import Samples, estimate_clock_offset, find_stamp_problems, is_held
 
@@ -261,13 +261,15 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, rena
             findings.append(Finding(RecordCode.TIME_UNUSABLE, Severity.WARNING, values={"reason": str(error)}))
     elif sampling_time:
         time = sampling_time * np.arange(rows)
+    labels = table.row_labels
     if time is not None and (twice := find_repeats(time, arrays.values())).any():
-        counts = {"rows": int(twice.sum()), "first": table.row_labels.describe(np.flatnonzero(twice)[:1])}
+        counts = {"rows": int(twice.sum()), "first": labels.describe(np.flatnonzero(twice)[:1])}
         findings.append(Finding(RecordCode.ROWS_TWICE, values=counts))
         time, arrays = time[~twice], {k: array[~twice] for k, array in arrays.items()}
+        labels = labels.without(twice)
     if time is None and clock is None:
         findings.append(Finding(RecordCode.NO_TIME, Severity.WARNING))
-    elif time is not None and (problems := find_stamp_problems(Samples(time, time))):
+    elif time is not None and (problems := find_time_problems(time, labels)):
         findings.append(Finding(RecordCode.TIME_UNUSABLE, Severity.WARNING, values={"reason": problems[0]}))
         time = None
     elif time is not None and (gap := sampling.find_longest_time_gap(time)) is not None:

@@ -19,7 +19,7 @@ from greybox.base import TIME_ROUNDING, Finding, Severity
 from greybox.data import input_course, policy, sampling
 from greybox.data.columns import SignalKind, check_size
 from greybox.data.findings import RecordCode
-from greybox.data.problems import find_repeats
+from greybox.data.problems import RowLabels, find_repeats, find_time_problems
 
 
 class Samples(NamedTuple):
@@ -57,17 +57,7 @@ def find_stamp_problems(samples: Samples) -> list[str]:
     """Why these stamps are no time."""
     if len(samples.time) < 2:
         return [f"{len(samples.time)} samples; a signal needs at least 2"]
-    if not np.isfinite(samples.time).all():
-        return ["time is empty, NaN or infinite; every sample needs its time"]
-    steps = np.diff(samples.time)
-    bad = np.flatnonzero(steps <= 0)
-    if len(bad):
-        what = "repeated" if steps[bad[0]] == 0 else "going back"
-        return [
-            f"time is {what} at sample {bad[0] + 2} ({samples.time[bad[0] + 1]:.12g} s after {samples.time[bad[0]]:.12g} s),"
-            f" {len(bad)} time{'s' * (len(bad) != 1)}; time must increase from sample to sample"
-        ]
-    return []
+    return find_time_problems(samples.time, RowLabels("sample"))
 
 
 def bring_to_one_base(

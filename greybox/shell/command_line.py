@@ -15,7 +15,7 @@ from greybox.base import ExitCode, Finding, GreyboxError, ModelError
 from greybox.base.files import OUTPUTS_FOLDER, list_foreign, watch_replaced
 from greybox.base.texts import to_word, wrap
 from greybox.shell.study import Answer, Command, Option, Study
-from greybox.shell.study_file import is_study_file, read_study, with_overrides, write_study
+from greybox.shell.study_file import is_study_file, read_study, spell_following, with_overrides, write_study
 from greybox.shell.study_values import Choice, Count, File, ModelName, Number, Switch, ValueWithUnitError, Word
 from greybox.shell.terminal import (
     CommandCode,
@@ -258,7 +258,9 @@ def _show(answer: Answer, study: Study, commands: Mapping[str, Command]) -> None
         from greybox.show import text
         from greybox.show.printers.text import MOST_LINES, wrap_command
 
-        following = answer.next if isinstance(answer.next, str) else answer.next.keeping(answer.files).spell(commands)
+        following = answer.next
+        if not isinstance(following, str):
+            following = spell_following(following.keeping(answer.files), commands)
         below = wrap_command(f"next: {following}", width) if following else []
         # Page and pictures are drawn once the answer is there to read: their names take a line more.
         drawn = bool(answer.page and not study.no_report) + bool(answer.pictures and study.figures)

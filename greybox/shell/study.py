@@ -484,13 +484,14 @@ class NextCommand:
             return self
         return replace(self, output=next(path for path in map(Path, names) if not path.exists()))
 
-    def spell(self, commands: Mapping[str, Command]) -> str:
-        """As it is typed."""
-        words = ["greybox", self.command, *map(str, self.arguments)]
-        following = self._study(commands[self.command])
+    def spell(self, commands: Mapping[str, Command], read: Study | None = None) -> str:
+        """As it is typed; with ``read``, what the command reads from a study file, that file stands for all that it says."""
+        words = ["greybox", self.command, *map(str, self.arguments if read is None else [read.file])]
+        following, in_file = self._study(commands[self.command]), {} if read is None else read.values
         # A command that says an option in its own words has it twice: the last counts.
         for option in {option.name: option for option in commands[self.command].options}.values():
-            if option.flags and following.sets(option):
+            is_in_file = option.name in in_file and in_file[option.name] == following.values.get(option.name)
+            if option.flags and following.sets(option) and not is_in_file:
                 values = option.kind.typed(following.values[option.name])
                 if isinstance(option.kind, kinds.Switch):
                     words.append(option.flags[0])

@@ -15,7 +15,7 @@ from typing import Any
 
 from greybox.base import GreyboxError, nearest, write_file
 from greybox.base.texts import escape_line, to_word
-from greybox.shell.study import Command, Option, Study
+from greybox.shell.study import Command, NextCommand, Option, Study
 from greybox.shell.study_values import Table
 
 SUFFIX = ".toml"
@@ -86,6 +86,21 @@ def read_study(path: Path, name: str, commands: Mapping[str, Command]) -> Study:
         "definition": definition,
     }
     return command.study(**origin, **values)
+
+
+def spell_following(following: NextCommand, commands: Mapping[str, Command]) -> str:
+    """What follows a command, as it is typed: after one on a study file with that file, and with what was typed beside it."""
+    study, command = following.study, commands[following.command]
+    is_of_file = {"model", "estimation"} <= study.from_file and command.reads_studies
+    if study.file is None or not is_of_file or tuple(following.arguments) != (study.model, *study.estimation):
+        return following.spell(commands)
+    try:
+        read = read_study(study.file, command.like or following.command, commands)
+        command.check(read)
+    except GreyboxError:
+        # It refuses the file, for what another command alone reads there.
+        return following.spell(commands)
+    return following.spell(commands, read)
 
 
 def write_study(study: Study, path: Path, name: str, commands: Mapping[str, Command]) -> Path:

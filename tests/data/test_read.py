@@ -920,6 +920,19 @@ def test_another_reading_at_the_same_time_is_still_asked_about(tmp_path):
         read_csv(path, _oscillator("slow", [Input("u", "V")], [Output("x", "m")]))
 
 
+@pytest.mark.parametrize("first", [0, 3])
+def test_a_clock_of_whole_seconds_leads_to_the_rate_at_which_its_rows_come(tmp_path, first):
+    time = np.arange(first, first + len(TIME)) // 8
+    path = write(tmp_path / "run.csv", ["time [s]", "u [V]", "x [m]"], [time, DRIVE, ANSWER])
+    with pytest.raises(
+        DataError, match=r"faster than the clock counts, 8 in 1 s, .*--columns=-,u,.*--sampling-time 0\.125\)$"
+    ):
+        read_csv(path, _oscillator("slow", [Input("u", "V")], [Output("x", "m")]))
+    reasons = [f.values["reason"] for f in survey_file(path).findings if f.code is RecordCode.TIME_UNUSABLE]
+    assert len(reasons) == 1
+    assert "sampling_time=0.125" in reasons[0]
+
+
 def test_a_file_that_begins_with_the_newest_row_is_to_be_sorted(tmp_path):
     path = write(tmp_path / "run.csv", ["time [s]", "u [V]", "x [m]"], [TIME[::-1], DRIVE[::-1], ANSWER[::-1]])
     with pytest.raises(

@@ -20,6 +20,7 @@ from greybox.shell.discover import _next
 from greybox.shell.fit import next_command
 from greybox.shell.options import IN_MODEL, IN_RECORD, IN_RESULT
 from greybox.shell.study import NextCommand, Study
+from greybox.shell.study_file import spell_following
 from greybox.shell.study_values import Switch
 from greybox.show.printers.text import wrap_command
 
@@ -286,3 +287,22 @@ def test_what_is_proposed_replaces_no_result_that_is_there(tmp_path, monkeypatch
     typed = study.then(following, *FILES).keeping([Path(written)]).spell(COMMANDS)
     assert typed.partition(" --output ")[2] == folder
     assert following == "export" or parse(following, shlex.split(typed)[2:])
+
+
+def test_what_follows_a_study_file_is_the_file_with_what_was_typed_beside_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("study.toml").write_text(
+        'model = "emps"\n[records]\nestimation = ["a.csv"]\n[fixed]\nM = 3.0\n[noise]\nq = 0.1\n'
+    )
+    study = parse("fit", ["study.toml", "--noise", "q=0.2", "--loss", "huber"])
+    typed = spell_following(next_command(study, make_fit(), Path("fit.json")), COMMANDS)
+    assert typed == "greybox discover study.toml --noise q=0.2 --validate ANOTHER_RECORD.csv --loss huber"
+    assert parse("discover", shlex.split(typed)[2:]).values.items() >= study.but(noise={"q": 0.2}).values.items()
+    # An export is of the fit, other records are not those of the file, and what a search refuses in the file is spelled out.
+    explained = next_command(study, make_fit(explains_records=True), Path("fit.json"))
+    assert spell_following(explained, COMMANDS) == explained.spell(COMMANDS)
+    others = next_command(parse("fit", ["study.toml", "b.csv"]), make_fit(), Path("fit.json"))
+    assert spell_following(others, COMMANDS).startswith("greybox discover emps b.csv --fix M=3.0")
+    Path("study.toml").write_text('model = "emps"\n[records]\nestimation = ["a.csv"]\n[estimation]\npredict = [4]\n')
+    refused = next_command(parse("fit", ["study.toml"]), make_fit(), Path("fit.json"))
+    assert spell_following(refused, COMMANDS) == "greybox discover emps a.csv --validate ANOTHER_RECORD.csv"

@@ -106,6 +106,10 @@ def _sets_table(discovery: Discovery, most: int | None = None) -> doc.TableBlock
             "Errors of the answer and of the model without effects are those on the second half of the validation records, with constants"
             " that their first half gave too; those of the other sets may rest on the estimation records alone."
         )
+    if any(not row[-2] for row in rows[1:]):
+        note += (
+            " A set without an error was fitted too, leads nowhere on the estimation records, and was not run on these."
+        )
     return doc.TableBlock("Sets of effects", head, rows, note)
 
 
