@@ -119,6 +119,8 @@ class Linearisation(Printable):
         How it was sampled.
     findings
         What to know before using it.
+    is_exact
+        Whether the equations are linear themselves, so that it holds for deviations of any size.
 
     See Also
     --------
@@ -145,6 +147,7 @@ class Linearisation(Printable):
     dt: float = 0.0
     method: str = ""
     findings: tuple[Finding, ...] = ()
+    is_exact: bool = False
 
     def __post_init__(self) -> None:
         infinite = [name for name in ("A", "B", "C", "D") if not np.isfinite(getattr(self, name)).all()]

@@ -338,6 +338,7 @@ def linearise_at(
         rates=np.array([point.rates[x.name] for x in states]),
         delay=late,
         parameters=dict(zip(system.parameter_names, map(float, p), strict=True)),
+        is_exact=system.linear,
     )
     idle = _find_idle_inputs(functions, linear, point)
     linear = replace(linear, findings=(*plant.findings, *point.findings, *derivatives.findings, *closed, *idle))

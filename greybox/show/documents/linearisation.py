@@ -59,6 +59,7 @@ def linear_summary(linear: Linearisation) -> doc.Document:
         f"{name} = {value:.4g} {typeset_unit(unit) if unit else ''}".rstrip()
         for name, value, unit in zip(names, values, units, strict=True)
     ]
+    deviations = "deviations of any size" if linear.is_exact else "small deviations"
     # The operating point, and what the matrices leave out.
     point_lines = [f"  at   {format_signals(linear.state_names, linear.x0, linear.state_units)}"]
     if linear.input_names:
@@ -74,7 +75,7 @@ def linear_summary(linear: Linearisation) -> doc.Document:
         answer,
         doc.Tone.CAUTION if cautious else doc.Tone.GOOD,
         behaviour[:1],
-        [*worst_first(linear.findings), f"it holds for small deviations from {join_names(point)}"],
+        [*worst_first(linear.findings), f"it holds for {deviations} from {join_names(point)}"],
         [doc.Paragraphs(point_lines), doc.CodeBlock("\n".join(_matrix_lines(linear))), *behaviour[1:]],
         linear_question(linear),
         kind="export",
@@ -84,7 +85,7 @@ def linear_summary(linear: Linearisation) -> doc.Document:
 def linear_question(linear: Linearisation) -> str:
     """What a linear model is for."""
     inputs, outputs = (join_names(names) or "the states" for names in (linear.input_names, linear.output_names))
-    return f"How do small deviations of {inputs} change {outputs}? This model is for controller design."
+    return f"How do {'' if linear.is_exact else 'small '}deviations of {inputs} change {outputs}? This model is for controller design."
 
 
 def linear_evidence(linear: Linearisation | None, family: ModelFamily | None) -> Iterator[doc.FigureBlock]:

@@ -17,6 +17,7 @@ from greybox.base.numerics import SMALLEST_TYPICAL_SIZE
 from greybox.estimation.linear.exported_model import ExportFinding as Code
 from greybox.estimation.linear.operating_point import ModelFunctions, find_operating_point
 from greybox.extensions.export.python_control import approximate_delays
+from greybox.show.documents.linearisation import linear_question
 from greybox.simulation.simulate import simulate_twin
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance
 from models.pneumatic_cylinder import pneumatic_cylinder
@@ -234,6 +235,10 @@ def test_a_nonlinear_equilibrium_is_where_the_spring_carries_the_force():
     p, x = constants(hard), found.x0[0]
     assert p.K * x + p.K3 * x**3 == pytest.approx(p.Kf * 2.0 / p.Ra, rel=1e-12)
     assert found.A[1, 0] == pytest.approx(-(p.K + 3 * p.K3 * x**2) / p.M, rel=1e-12)
+    # About it the model holds for small deviations; that of a linear plant for all.
+    plain = gb.linearise(micro_actuator)
+    assert [m.is_exact for m in (found, gb.export.sample(plain, 1e-4), plain)] == [False, True, True]
+    assert ["small" in linear_question(m) for m in (found, plain)] == [True, False]
 
 
 def test_an_integrating_state_stays_where_it_starts_or_moves_steadily():
