@@ -17,6 +17,7 @@ from greybox.data.read import as_experiments
 from greybox.estimation import result_parts
 from greybox.estimation.covariance import (
     check_priors,
+    compute_quantile,
     locate_fitted,
     to_estimates,
     to_experiment_estimates,
@@ -435,7 +436,11 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
             dict(problem.noise.named),
         ),
         uncertainty=result_parts.FitUncertainty(
-            free, matrix, covariance.kind, dict(zip(variables.names, covariance.inflation.tolist(), strict=True))
+            free,
+            matrix,
+            covariance.kind,
+            dict(zip(variables.names, covariance.inflation.tolist(), strict=True)),
+            compute_quantile(covariance.degrees),
         ),
         discretisation=result_parts.FitDiscretisation(
             optimum.discretisation,

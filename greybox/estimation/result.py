@@ -113,7 +113,7 @@ class Fit(Printable, ReadOnly, StoredResult):
         status_details=solver.details search=solver.strategy misfit_at_least validation=validation.misfit
         validation_at_least validation_traces=validation.traces noise_sources=noise.sources noise_colour=noise.colour
         noise_log_std=noise.log_std noise_units=noise.units noise_bounds=noise.bounds noise_growth?=noise.growth noise_named?=noise.named
-        interval_kind=uncertainty.kind inflation=uncertainty.inflation discretisation_shift=discretisation.shift
+        interval_kind=uncertainty.kind inflation=uncertainty.inflation reach?=uncertainty.reach discretisation_shift=discretisation.shift
         tied=constraints.tied ties=constraints.ties own=constraints.per_experiment priors=constraints.priors loss=robust.name
         loss_scale=robust.scale outliers=robust.outliers ends=starts process_noise=prediction.process_noise
         prediction=prediction.one_step log_likelihood=prediction.log_likelihood

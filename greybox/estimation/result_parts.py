@@ -440,12 +440,16 @@ class FitUncertainty(ReadOnly):
         ``observed_information`` of a likelihood.
     inflation
         The factor by which the sandwich widens each standard deviation, by name.
+    reach
+        Standard deviations from a value to either end of its 95 % interval: 1.96, and more where few independent readings tell the
+        noise (Student's distribution). None in files of before.
     """
 
     free: tuple[str, ...]
     covariance: Matrix
     kind: IntervalKind = IntervalKind.GAUSS_NEWTON
     inflation: Mapping[str, float] = field(default_factory=dict)
+    reach: float | None = None
 
     @property
     def largest_inflation(self) -> float:

@@ -26,6 +26,7 @@ from greybox.estimation.sandwich import (
     sum_scores,
 )
 from greybox.estimation.uncertainty import bootstrap, profile
+from greybox.show import text
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import experiment, linear_record, multisine
@@ -70,6 +71,8 @@ def test_rooney_and_biegler_constants_and_covariance():
     # Four degrees of freedom: Student's factor, on the logarithm of a positive constant.
     reach = student.ppf(0.975, 4) * np.sqrt(closed[0, 0]) / a
     assert found.parameters["a"].interval == pytest.approx((a * np.exp(-reach), a * np.exp(reach)), rel=1e-6)
+    assert found.uncertainty.reach == pytest.approx(student.ppf(0.975, 4), rel=1e-12)
+    assert "95 % is 2.78 standard deviations" in " ".join(text(found, details=True).split())
 
 
 def test_lotka_volterra_constants_converge_and_the_step_is_watched():
@@ -180,6 +183,7 @@ def test_intervals_survive_saving(tmp_path):
     again = load_fit(found.save(tmp_path / "fit.json"), TRUTH)
     assert profile(again, "K").interval == profile(found, "K").interval
     assert again.uncertainty.kind == "sandwich" and again.uncertainty.inflation == found.uncertainty.inflation
+    assert again.uncertainty.reach == found.uncertainty.reach
 
 
 def test_bad_requests_are_refused_in_words():

@@ -317,7 +317,20 @@ def _starts(fit: Fit) -> Iterator[doc.Block]:
     yield doc.TableBlock("Start and end of each search", ["start", "misfit / best misfit", "ended", *names], rows)
 
 
+# Standard deviations to the end of an interval from which it is said how many: at 2.1 some twenty independent readings tell the noise.
+FAR_REACH = 2.1
+
+
 def _interval_kind(fit: Fit) -> str:
+    kind, reach = _covariance_kind(fit), fit.uncertainty.reach
+    if kind and reach is not None and reach > FAR_REACH:
+        return (
+            f"{kind}; 95 % is {reach:.3g} standard deviations to each side, as few independent readings tell the noise"
+        )
+    return kind
+
+
+def _covariance_kind(fit: Fit) -> str:
     sandwich = fit.uncertainty.kind == "sandwich"
     if fit.prediction.process_noise and not sandwich:
         which = "observed" if fit.uncertainty.kind == "observed_information" else "expected"

@@ -110,7 +110,7 @@ def test_a_linear_model_and_a_check_hold_what_the_schema_describes(fit, tmp_path
 
 def test_a_file_of_the_first_version_is_read(changed, saved):
     """The first files lacked keys that came later, and named the source of the noise in words."""
-    keys = """findings status_details search noise_log_std noise_units noise_bounds interval_kind inflation tied ties own priors
+    keys = """findings status_details search noise_log_std noise_units noise_bounds interval_kind inflation reach tied ties own priors
         loss loss_scale outliers ends process_noise prediction log_likelihood noise_colour discretisation_shift"""
     younger = set(keys.split())
 
