@@ -26,6 +26,7 @@ from greybox.estimation.predictor import PredictionCorrection, Predictor, predic
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace
 from greybox.estimation.score import check_steps_ahead, colour_correction, run_model
+from greybox.estimation.validate import FIRST_ROWS
 from greybox.model.model import Model
 from greybox.simulation.free_run import linearise_along
 from greybox.simulation.plant import PlantModel, as_model
@@ -317,10 +318,6 @@ def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> res
     )
 
 
-# Rows that determine the initial state of a validation record, where ``skip`` is 0.
-COMPARISON_INITIAL_ROWS = 50
-
-
 def _black_box_entry(named: NamedModel, setup: _Setup) -> result.ComparisonEntry:
     """Black boxes of one output each, every record on the time grid that each was identified at.
 
@@ -335,7 +332,7 @@ def _black_box_entry(named: NamedModel, setup: _Setup) -> result.ComparisonEntry
                 continue
             record = match_sampling_time(experiment, box.output, box.sampling_time, box.label)
             # Rows count in the record as it was given: one resampled has others for the same time.
-            rows = setup.beginning or setup.skip or COMPARISON_INITIAL_ROWS
+            rows = setup.beginning or setup.skip or FIRST_ROWS
             begin = {
                 "initial": _choose_beginning(box, record, setup.at_rest),
                 "rows": None if training else max(1, round(record.rows / experiment.rows * rows)),

@@ -26,6 +26,7 @@ from greybox.comparison.blackbox.linear_regression import (
     to_sampled_record,
 )
 from greybox.data.experiment import Experiment
+from greybox.estimation.validate import INITIAL_STATE_SHARE
 from greybox.model.signals import Input, Output, Parameter, State
 from greybox.simulation.plant import PlantModel
 
@@ -517,9 +518,7 @@ def simulate_free_run(
         y = _drive(model, record, ONE, model.a, initial == "zero")
         if initial == "zero":
             return y
-        # Errors of free runs are what this state is allowed to add.
-        error = model.noise_std if model.focus == "simulation" else 0.0
-        _add_past(model, y, lambda free: estimate_initial_state(free, record.y, y, initial, rows, error))
+        _add_past(model, y, lambda free: estimate_initial_state(free, record.y, y, initial, rows))
         return y
 
 
@@ -633,60 +632,35 @@ def compute_initial_responses(
     return blocks
 
 
-# How much larger than on the rows that tell it the rest of a record may show a part of the initial state.
-LARGEST_AMPLIFICATION = 10.0
-
-
 def estimate_initial_state(
-    free: np.ndarray,
-    measured: np.ndarray,
-    run: np.ndarray,
-    initial: InitialChoice,
-    rows: int | None,
-    error: float = 0.0,
+    free: np.ndarray, measured: np.ndarray, run: np.ndarray, initial: InitialChoice, rows: int | None
 ) -> np.ndarray:
     """Shares (m,) of the free responses (k, m), over after k rows, that meet ``measured - run`` (N,), NaN in gaps, on the first rows.
 
-    ``"measured"`` meets as many rows as there are responses exactly; ``"estimated"`` the first ``rows`` by least squares. A
-    direction that these rows barely determine is left at zero: one that the rest of the record would show more than
-    `LARGEST_AMPLIFICATION` times larger than these rows, and larger than the ``error`` that its run has anyway.
+    ``"measured"`` meets as many rows as there are responses exactly; ``"estimated"`` the first ``rows`` by least squares (None: all),
+    doubled until they hold `INITIAL_STATE_SHARE` of what the whole record tells along every direction: as many as a physical model gets.
     """
     if not free.shape[1]:
         return np.zeros(0)
-    memory = len(free)
-    target = measured[:memory] - run[:memory]
+    target = measured[: len(free)] - run[: len(free)]
     # Responses of an unstable predictor grow beyond what least squares can tell apart.
-    bounded = np.all(np.abs(free) < numerics.FREE_RESPONSE_GROWTH, axis=1)
-    usable = np.isfinite(target) & bounded
+    usable = np.isfinite(target) & np.all(np.abs(free) < numerics.FREE_RESPONSE_GROWTH, axis=1)
     if initial == "measured":
         first = usable & (np.cumsum(usable) <= free.shape[1])
         return np.linalg.lstsq(free[first], target[first], rcond=None)[0]
-    if rows is not None:
-        usable[rows:] = False
-    # Rows behind the memory have no response, and count.
-    later = slice(memory, rows)
-    count = int(usable.sum()) + int(np.isfinite(measured[later]).sum())
-    if not count:
+    if not free[usable].any():
         return np.zeros(free.shape[1])
-    # Coordinates z = R x of responses that are orthogonal over the whole record and of unit size there
-    triangle = np.linalg.qr(free[bounded], mode="r") / np.sqrt(len(measured) - np.count_nonzero(~bounded))
-    # Fewer rows than responses, where these grow fast, tell of as many directions alone.
-    _, size, right = np.linalg.svd(triangle, full_matrices=False)
+    # Coordinates z = R x of responses that are orthogonal over the whole record and of unit size there: of fewer rows than responses, where
+    # these grow fast, as many as they tell.
+    _, size, right = np.linalg.svd(np.linalg.qr(free[usable], mode="r"), full_matrices=False)
     significant = size > numerics.NEGLIGIBLE_SINGULAR_VALUE * size[0]
     back = right[significant].T / size[significant]
-    seen, wanted = free[usable] @ back / np.sqrt(count), target[usable] / np.sqrt(count)
-    u, s, v = np.linalg.svd(seen, full_matrices=False)
-    # Coordinates of unit size over the whole record: a small singular value on the first rows is what the rest would
-    # amplify.
-    amplification = LARGEST_AMPLIFICATION
-    spare = count - len(s)
-    if error and spare > len(s):
-        # What no state explains on these rows is all that there is to amplify.
-        unexplained = np.linalg.norm(wanted - u @ (u.T @ wanted)) * np.sqrt(count / spare)
-        amplification = max(amplification, error / max(unexplained, numerics.TINY))
-    shown = s * amplification > 1
-    z = v[shown].T @ (u[:, shown].T @ wanted / s[shown])
-    return back @ z
+    seen, known = np.where(usable[:, None], free, 0.0) @ back, np.where(usable, target, 0.0)
+    rows = len(free) if rows is None else rows
+    # The least eigenvalue of seen' seen over these rows, 1 over all of them.
+    while rows < len(free) and np.linalg.eigvalsh(seen[:rows].T @ seen[:rows])[0] < INITIAL_STATE_SHARE:
+        rows = 2 * rows or 1
+    return back @ np.linalg.lstsq(seen[:rows], known[:rows], rcond=None)[0]
 
 
 def _innovations(

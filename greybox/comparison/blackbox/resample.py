@@ -15,6 +15,7 @@ from greybox.data.experiment import Experiment
 from greybox.data.findings import RecordCode
 from greybox.estimation.errors import OutputRun, OutputScore
 from greybox.estimation.predictor import PredictingModel
+from greybox.estimation.validate import FIRST_ROWS
 
 
 def resample(experiment: Experiment, sampling_time: float) -> Experiment:
@@ -136,10 +137,6 @@ def match_sampling_time(experiment: Experiment, output: str, sampling_time: floa
 
 
 # Cross-validation of free runs: parts of the records that a model was not fitted to judge it.
-
-
-# Rows of a record for validation that tell its first state, where nothing else is said.
-FIRST_ROWS = 50
 
 
 @dataclass(frozen=True, eq=False)

@@ -574,7 +574,7 @@ def _estimate_start(model: StateSpaceModel, u: np.ndarray, y: np.ndarray, rows: 
     size = np.sqrt(np.mean(free**2, axis=(0, 2)))
     size = np.where(size > 0, size, 1.0)
     target = (y - driven) / size
-    if rows is not None:
-        target[rows:] = np.nan
     free, target = (free / size[:, None]).reshape(-1, model.order), target.reshape(-1)
-    return estimate_initial_state(free, target, np.zeros(len(target)), "estimated", None)
+    # The outputs of a row stand one behind the other.
+    first = None if rows is None else rows * y.shape[1]
+    return estimate_initial_state(free, target, np.zeros(len(target)), "estimated", first)

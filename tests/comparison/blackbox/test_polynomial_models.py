@@ -12,7 +12,7 @@ from statsmodels.tsa.ar_model import AutoReg
 from statsmodels.tsa.statespace.varmax import VARMAX
 
 import greybox as gb
-from greybox.comparison.blackbox.polynomial import BlackBoxFinding
+from greybox.comparison.blackbox.polynomial import BlackBoxFinding, estimate_initial_state
 
 A, B, C = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [1.0, 0.6]
 TRUE = {"a1": -1.5, "a2": 0.7, "b1": 1.0, "b2": 0.5}
@@ -366,6 +366,20 @@ def test_a_fast_unstable_model_runs_from_the_few_rows_that_tell_its_past():
     run = model.simulate(gb.Experiment("r", np.arange(60.0), {"u": u}, {"y": rng.standard_normal(60)}), rows=50)["y"]
     for k in range(5, 12):
         assert run[k] == pytest.approx(0.5 * u[k - 1] - a[1:] @ run[k - 5 : k][::-1], rel=1e-6)
+
+
+def test_a_slow_state_is_told_by_as_many_rows_as_show_it():
+    """What fifty rows show of two time constants of 180 and 250 rows together is twenty times as large over the whole record."""
+    rows, noise = 1500, 0.02
+    poles = [(0.9945, 0.962), (0.9959, 0.836)]
+    free = np.column_stack([lagged(lfilter([1.0], np.poly(p), np.eye(1, rows)[0]), j) for p in poles for j in (0, 1)])
+    orthogonal, back = np.linalg.qr(free)
+    faint = np.linalg.solve(back, np.linalg.svd(orthogonal[:50])[2][-1]) * np.sqrt(rows)  # of unit size over the record
+    for size in (3.0, 0.1):
+        measured = free @ (size * faint) + noise * np.random.default_rng(4).standard_normal(rows)
+        found = estimate_initial_state(free, measured, np.zeros(rows), "estimated", 50)
+        # Half of what the record tells: twice the variance that the whole of it leaves, of four numbers.
+        assert np.sum((free @ (found - size * faint)) ** 2) < 2 * 3 * 4 * noise**2
 
 
 @pytest.mark.parametrize(
