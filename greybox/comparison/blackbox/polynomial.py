@@ -518,7 +518,9 @@ def simulate_free_run(
         y = _drive(model, record, ONE, model.a, initial == "zero")
         if initial == "zero":
             return y
-        _add_past(model, y, lambda free: estimate_initial_state(free, record.y, y, initial, rows))
+        # Errors of free runs are what this state is allowed to add.
+        error = model.noise_std if model.focus == "simulation" else 0.0
+        _add_past(model, y, lambda free: estimate_initial_state(free, record.y, y, initial, rows, error))
         return y
 
 
@@ -632,35 +634,77 @@ def compute_initial_responses(
     return blocks
 
 
+# How much larger than on the rows that tell it the rest of a record may show a part of the initial state.
+LARGEST_AMPLIFICATION = 10.0
+
+
 def estimate_initial_state(
-    free: np.ndarray, measured: np.ndarray, run: np.ndarray, initial: InitialChoice, rows: int | None
+    free: np.ndarray,
+    measured: np.ndarray,
+    run: np.ndarray,
+    initial: InitialChoice,
+    rows: int | None,
+    error: float = 0.0,
 ) -> np.ndarray:
     """Shares (m,) of the free responses (k, m), over after k rows, that meet ``measured - run`` (N,), NaN in gaps, on the first rows.
 
     ``"measured"`` meets as many rows as there are responses exactly; ``"estimated"`` the first ``rows`` by least squares (None: all),
-    doubled until they hold `INITIAL_STATE_SHARE` of what the whole record tells along every direction: as many as a physical model gets.
+    doubled as `lengthen_first_rows` does. A direction that these rows barely determine is left at zero: one that the rest of the record
+    would show more than `LARGEST_AMPLIFICATION` times larger than these rows, and larger than the ``error`` that its run has anyway.
     """
     if not free.shape[1]:
         return np.zeros(0)
-    target = measured[: len(free)] - run[: len(free)]
+    memory = len(free)
+    target = measured[:memory] - run[:memory]
     # Responses of an unstable predictor grow beyond what least squares can tell apart.
-    usable = np.isfinite(target) & np.all(np.abs(free) < numerics.FREE_RESPONSE_GROWTH, axis=1)
+    bounded = np.all(np.abs(free) < numerics.FREE_RESPONSE_GROWTH, axis=1)
+    usable = np.isfinite(target) & bounded
     if initial == "measured":
         first = usable & (np.cumsum(usable) <= free.shape[1])
         return np.linalg.lstsq(free[first], target[first], rcond=None)[0]
-    if not free[usable].any():
+    if rows is not None:
+        rows = lengthen_first_rows(np.where(usable[:, None], free, 0.0), rows)
+        usable[rows:] = False
+    # Rows behind the memory have no response, and count.
+    later = slice(memory, rows)
+    count = int(usable.sum()) + int(np.isfinite(measured[later]).sum())
+    if not count:
         return np.zeros(free.shape[1])
-    # Coordinates z = R x of responses that are orthogonal over the whole record and of unit size there: of fewer rows than responses, where
-    # these grow fast, as many as they tell.
-    _, size, right = np.linalg.svd(np.linalg.qr(free[usable], mode="r"), full_matrices=False)
+    # Coordinates z = R x of responses that are orthogonal over the whole record and of unit size there
+    triangle = np.linalg.qr(free[bounded], mode="r") / np.sqrt(len(measured) - np.count_nonzero(~bounded))
+    # Fewer rows than responses, where these grow fast, tell of as many directions alone.
+    _, size, right = np.linalg.svd(triangle, full_matrices=False)
     significant = size > numerics.NEGLIGIBLE_SINGULAR_VALUE * size[0]
     back = right[significant].T / size[significant]
-    seen, known = np.where(usable[:, None], free, 0.0) @ back, np.where(usable, target, 0.0)
-    rows = len(free) if rows is None else rows
-    # The least eigenvalue of seen' seen over these rows, 1 over all of them.
-    while rows < len(free) and np.linalg.eigvalsh(seen[:rows].T @ seen[:rows])[0] < INITIAL_STATE_SHARE:
+    seen, wanted = free[usable] @ back / np.sqrt(count), target[usable] / np.sqrt(count)
+    u, s, v = np.linalg.svd(seen, full_matrices=False)
+    # Coordinates of unit size over the whole record: a small singular value on the first rows is what the rest would
+    # amplify.
+    amplification = LARGEST_AMPLIFICATION
+    spare = count - len(s)
+    if error and spare > len(s):
+        # What no state explains on these rows is all that there is to amplify.
+        unexplained = np.linalg.norm(wanted - u @ (u.T @ wanted)) * np.sqrt(count / spare)
+        amplification = max(amplification, error / max(unexplained, numerics.TINY))
+    shown = s * amplification > 1
+    z = v[shown].T @ (u[:, shown].T @ wanted / s[shown])
+    return back @ z
+
+
+def lengthen_first_rows(told: np.ndarray, rows: int) -> int:
+    """The first ``rows``, doubled until they hold `INITIAL_STATE_SHARE` of what all rows tell of an initial state along every direction.
+
+    As many as a physical model gets. ``told``: the responses (k, m) to the state, zero where nothing was measured.
+    """
+    if not told.any():
+        return rows
+    _, size, right = np.linalg.svd(np.linalg.qr(told, mode="r"), full_matrices=False)
+    significant = size > numerics.NEGLIGIBLE_SINGULAR_VALUE * size[0]
+    # Coordinates in which the information of all rows, seen' seen, is the identity.
+    seen = told @ (right[significant].T / size[significant])
+    while rows < len(told) and np.linalg.norm(seen[:rows].T @ seen[:rows], -2) < INITIAL_STATE_SHARE:
         rows = 2 * rows or 1
-    return back @ np.linalg.lstsq(seen[:rows], known[:rows], rcond=None)[0]
+    return rows
 
 
 def _innovations(
