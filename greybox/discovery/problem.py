@@ -127,6 +127,11 @@ class FittedCandidate:
         """By how much a further Gauss-Newton step promises to lower the cost."""
         return self.evaluation.predicted_decrease(*self.variables.bounds())
 
+    @property
+    def is_falling(self) -> bool:
+        """Whether its refit ended at the limit of its iterations, and not at an optimum."""
+        return self.promised_decrease > STILL_FALLING * self.cost
+
 
 def noise_cost_limit(count: int) -> float:
     """Cost per sample that ``count`` samples of noise of exactly known level hardly ever exceed: four standard deviations."""
@@ -146,6 +151,8 @@ def clean_cost_limit(count: int) -> float:
 SEARCH_REFIT_ITERATIONS = 60
 # Share of its cost that one step more promises from which a refit that ended at that limit has not arrived.
 STILL_FALLING = 0.1
+# How often a refit that still falls goes on, each time by more than this share of its cost.
+MOST_CONTINUED = 5
 # Substeps of a sample that a refit of the search takes at most, unless the plain model needs more: a candidate that does is stiff by its
 # constants alone, and minutes would not make it the answer. The last fit knows no such limit.
 MAX_SUBSTEPS = 16
@@ -391,8 +398,15 @@ class DiscoveryProblem:
         for start in (model.values, {**model.values, **share_values(self.model, model)}):
             again = self.refit_best(model, [start], 1, iterations, like=candidate)
             better = again if again is not None and again.cost < better.cost else better
-            if better.promised_decrease <= STILL_FALLING * better.cost:
+            if not better.is_falling:
                 break
+        # Down a long bent valley each refit comes a part of the way. One that gains little has arrived, whatever a step promises at a kink.
+        before = candidate
+        for _ in range(MOST_CONTINUED):
+            if not better.is_falling or better.cost > (1 - STILL_FALLING) * before.cost:
+                break
+            before, again = better, self.refit_best(better.model, [better.model.values], 1, iterations, like=better)
+            better = again if again is not None and again.cost < better.cost else better
         # A refit that the time limit left out says nothing of where it would have ended: there may be a reserve.
         if not self.executor.is_late:
             self.settled.add(better.key)

@@ -82,6 +82,15 @@ def test_a_refit_that_still_falls_at_its_limit_begins_again_where_the_user_did()
     assert abs(converged.model.values["w"] - 7.0) < 0.01 and converged.per_sample < 1.3
 
 
+def test_a_refit_goes_on_as_long_as_it_falls():
+    problem = tone_problem()
+    start = problem.refit_best(problem.model, [{"k": 0.3, "a": 0.1, "w": 7.2}], 1, 1)
+    short = problem.refit_best(problem.model, [start.model.values], 1, 1, like=start)
+    assert short.is_falling and short.per_sample > 2.0
+    converged = problem.converge(start, iterations=1)
+    assert not converged.is_falling and converged.per_sample < 1.3
+
+
 def test_what_is_known_under_one_noise_is_not_known_under_another():
     problem = tone_problem()
     problem.settled.add(problem.baseline.key)
