@@ -14,7 +14,7 @@ from enum import StrEnum
 from greybox.base.values import Check
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.findings import DiscoveryRule
-from greybox.discovery.holdout import PARTIAL_SHARE, VISIBLE_RMS, HoldoutError, worst_output
+from greybox.discovery.holdout import PARTIAL_SHARE, VISIBLE_RMS, HoldoutError, count_independent, worst_output
 from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import FittedCandidate, clean_cost_limit, noise_cost_limit
 
@@ -69,15 +69,9 @@ def make_check(rule: DiscoveryRule, value: float, limit: float, passed: bool, su
     return Check(rule, float(value), float(limit), bool(passed), subject)
 
 
-# Samples over which the correlation of coloured noise is summed for the number of independent samples in a record.
-NOISE_MEMORY = 500
-
-
 def visible_rms_limit(samples: int, colour: AutoRegression) -> float:
     """Rms over noise above which a record of ``samples`` shows more than noise; coloured noise has fewer independent samples."""
-    correlations = colour.autocorrelation(min(samples, NOISE_MEMORY))
-    independent = samples / (1 + 2 * float(correlations[1:] @ correlations[1:]))
-    return VISIBLE_RMS + 4 / math.sqrt(2 * independent)
+    return VISIBLE_RMS + 4 / math.sqrt(2 * count_independent(samples, colour))
 
 
 def excess_cost(candidate: FittedCandidate) -> float:

@@ -15,7 +15,7 @@ from greybox.base.json_shape import Unbounded
 from greybox.base.linear_algebra import eliminate
 from greybox.base.numerics import SAME_ERROR, TINY
 from greybox.data.experiment import Experiment, as_records
-from greybox.data.noise.noise_model import BoundDirection, NoiseModel, fit_autoregression, join_series
+from greybox.data.noise.noise_model import AutoRegression, BoundDirection, NoiseModel, fit_autoregression, join_series
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate, with_initial_states
 from greybox.estimation.errors import errors_by_block
@@ -505,6 +505,16 @@ MOST_CORRELATION = 0.95
 CHANCE_DEVIATIONS = 3.0
 
 
+# Samples over which the correlation of coloured noise is summed for the number of independent samples in a record.
+NOISE_MEMORY = 500
+
+
+def count_independent(samples: int, colour: AutoRegression) -> float:
+    """Samples of white noise whose rms is as certain as that of so many ``samples`` of a colour: N / (1 + 2 sum rho_k^2)."""
+    correlations = colour.autocorrelation(min(samples, NOISE_MEMORY))
+    return samples / (1 + 2 * float(correlations[1:] @ correlations[1:]))
+
+
 def measure_structure(scores: HoldoutScores, candidate: FittedCandidate, only_visible: bool) -> float:
     """Share of the rms error on the validation records that is no noise, 0 to 1, all outputs together.
 
@@ -519,17 +529,19 @@ def measure_structure(scores: HoldoutScores, candidate: FittedCandidate, only_vi
     for name, misfit in run.misfit.items():
         series = join_series(adapted.residuals[name])
         rms = max(float(np.sqrt(np.nanmean(series**2) + charge[name])), TINY)
-        if is_level_measured(noise, name):
-            bound = noise.bound(name)  # the problem may weigh with another level, the residual's
-            level = misfit.rmse / misfit.noise_ratio if bound is None else bound.level
-            if only_visible:
-                # The rms of N samples of noise has a standard error of 1 / sqrt(2 N) of itself.
-                level *= max(VISIBLE_RMS, 1 + CHANCE_DEVIATIONS / math.sqrt(2 * misfit.samples))
-            shares.append(max(1 - (level / rms) ** 2, 0.0))
-            continue
         deviation = series / rms
         colour, first = fit_autoregression(deviation), fit_autoregression(deviation, max_order=1)
         # A sensor, or the filter behind it, has one time constant; a correlation that lasts longer is none of theirs.
         is_sensor = only_visible and abs(first.autocorrelation(2)[1]) < MOST_CORRELATION
+        if is_level_measured(noise, name):
+            bound = noise.bound(name)  # the problem may weigh with another level, the residual's
+            level = misfit.rmse / misfit.noise_ratio if bound is None else bound.level
+            if only_visible:
+                # The rms of N independent samples of noise has a standard error of 1 / sqrt(2 N) of itself.
+                alike = first if is_sensor and colour.order <= 1 else AutoRegression()
+                error = 1 / math.sqrt(2 * count_independent(misfit.samples, alike))
+                level *= max(VISIBLE_RMS, 1 + CHANCE_DEVIATIONS * error)
+            shares.append(max(1 - (level / rms) ** 2, 0.0))
+            continue
         shares.append(1 - colour.innovation_variance / (first.innovation_variance if is_sensor else 1.0))
     return float(np.sqrt(np.mean(shares))) if shares else 1.0

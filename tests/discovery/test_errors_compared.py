@@ -66,6 +66,14 @@ def test_the_level_of_a_short_record_of_noise_exceeds_its_own_by_chance():
     assert structure_of(WHITE / WHITE.std(), KNOWN, 1.1) > 0.2
 
 
+def test_the_level_of_coloured_noise_exceeds_its_own_by_more():
+    """Of 2000 samples with a correlation of 0.8, 440 are independent: three standard errors of their level are 10 %."""
+    assert structure_of(COLOURED / COLOURED.std(), KNOWN, 1.09) == 0.0
+    assert structure_of(COLOURED / COLOURED.std(), KNOWN, 1.2) > 0.3
+    beside = WHITE + 0.6 * SLOW  # white noise beside what is missing has no such colour
+    assert structure_of(beside / beside.std(), KNOWN, 1.09) > 0.2
+
+
 def test_noise_of_one_time_constant_is_no_structure_where_nobody_knows_the_noise():
     assert structure_of(WHITE, None) < 0.1
     assert structure_of(COLOURED, None) < 0.2
