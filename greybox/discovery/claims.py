@@ -84,7 +84,8 @@ class Claim(ReadOnly):
     equals
         Of a name: effects that neither contain it nor are contained that do the same in its place. No record of this kind separates them.
     has_twin
-        Whether one of these does it with no more constants: neither is certain. A richer one is no objection to a simple one.
+        Whether one of these does it with no more constants, and the claim is not true of it: neither is certain. A richer one is no
+        objection to a simple one.
     is_matched
         Whether a set of which it is not true does as well, as often as not, where whatever was tried may leave more than noise.
     joint
@@ -371,10 +372,10 @@ class Grounds:
         # A signal over time has no variables, no family and no name; where it acts it has as well.
         if claim.depth >= Depth.VARIABLES and set(self.nonsense) & set(claim.sites):
             return True
-        if not claim.name:
-            return False
+        if claim.has_twin or not claim.name:
+            return claim.has_twin
         # The certain answer is the model that is handed over, and a name that was held against no rival is not certain.
-        return claim.has_twin or not self.has_rivals or (self.names is not None and claim.name not in self.names)
+        return not self.has_rivals or (self.names is not None and claim.name not in self.names)
 
 
 NO_GROUNDS = Grounds()
@@ -490,12 +491,16 @@ class _Context:
             left=self.left,
         )
         claim = replace(claim, probability=weigh_claim(claim))
-        if depth < Depth.NAME or shown is None:
+        if depth < Depth.VARIABLES or shown is None or not shown.name:
             return claim
         equal_sets, same = self._equals(best, shown), _list_same_equations(self.forms[best], shown)
-        equals = tuple(dict.fromkeys((*equal_sets.values(), *same)))
         free = [s.candidate.free for s in self.draws.sets]
-        has_twin = bool(same) or any(free[k] <= free[best] for k in equal_sets)
+        # One of whom the claim is true as well is no objection to it: to a family, none of its members.
+        is_same = any(depth is Depth.NAME or name not in shown.family for name in same)
+        has_twin = is_same or any(free[k] <= free[best] and not holds[k] for k in equal_sets)
+        if depth < Depth.NAME:
+            return replace(claim, has_twin=has_twin)
+        equals = tuple(dict.fromkeys((*equal_sets.values(), *same)))
         either = [h or any(f.name in equals for f in forms) for h, forms in zip(holds, self.forms, strict=True)]
         return replace(
             claim,

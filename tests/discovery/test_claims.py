@@ -315,6 +315,10 @@ def test_one_effect_that_is_the_equation_of_two_is_told_beside_them():
     claims = claims_of((fitted("coulomb_friction", "constant_load"), 10))
     load, friction = (name_claim(claims, name) for name in ("constant_load", "coulomb_friction"))
     assert load.equals == ("asymmetric_friction",) and load.grade is Grade.PROBABLE
+    # That a constant acts is not true of the one effect, that friction does is true of both.
+    graded = {(c.depth, c.variables): c.grade for c in claims if c.depth in (Depth.VARIABLES, Depth.FAMILY)}
+    assert {graded[depth, ()] for depth in (Depth.VARIABLES, Depth.FAMILY)} == {Grade.PROBABLE}
+    assert {graded[depth, ("v",)] for depth in (Depth.VARIABLES, Depth.FAMILY)} == {Grade.ESTABLISHED}
     # Friction is in both of them.
     assert friction.equals == () and friction.is_established
     assert list_tied_sets(claims, ["coulomb_friction", "constant_load"]) == [("asymmetric_friction",)]
