@@ -691,18 +691,18 @@ def estimate_initial_state(
     return back @ z
 
 
-def lengthen_first_rows(told: np.ndarray, rows: int) -> int:
+def lengthen_first_rows(responses: np.ndarray, rows: int) -> int:
     """The first ``rows``, doubled until they hold `INITIAL_STATE_SHARE` of what all rows tell of an initial state along every direction.
 
-    As many as a physical model gets. ``told``: the responses (k, m) to the state, zero where nothing was measured.
+    As many as a physical model gets. ``responses``: the responses (k, m) to the state, zero where nothing was measured.
     """
-    if not told.any():
+    if not responses.any():
         return rows
-    _, size, right = np.linalg.svd(np.linalg.qr(told, mode="r"), full_matrices=False)
+    _, size, right = np.linalg.svd(np.linalg.qr(responses, mode="r"), full_matrices=False)
     significant = size > numerics.NEGLIGIBLE_SINGULAR_VALUE * size[0]
     # Coordinates in which the information of all rows, seen' seen, is the identity.
-    seen = told @ (right[significant].T / size[significant])
-    while rows < len(told) and np.linalg.norm(seen[:rows].T @ seen[:rows], -2) < INITIAL_STATE_SHARE:
+    seen = responses @ (right[significant].T / size[significant])
+    while rows < len(responses) and np.linalg.norm(seen[:rows].T @ seen[:rows], -2) < INITIAL_STATE_SHARE:
         rows = 2 * rows or 1
     return rows
 
