@@ -91,7 +91,9 @@ def read_study(path: Path, name: str, commands: Mapping[str, Command]) -> Study:
 def spell_following(following: NextCommand, commands: Mapping[str, Command]) -> str:
     """What follows a command, as it is typed: after one on a study file with that file, and with what was typed beside it."""
     study, command = following.study, commands[following.command]
-    is_of_file = {"model", "estimation"} <= study.from_file and command.reads_studies
+    # What the proposal does without would come back with the file.
+    is_kept = all(study.sets(option) for name, option in study.options.items() if name in study.from_file)
+    is_of_file = {"model", "estimation"} <= study.from_file and command.reads_studies and is_kept
     if study.file is None or not is_of_file or tuple(following.arguments) != (study.model, *study.estimation):
         return following.spell(commands)
     try:

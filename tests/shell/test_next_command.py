@@ -306,3 +306,11 @@ def test_what_follows_a_study_file_is_the_file_with_what_was_typed_beside_it(tmp
     Path("study.toml").write_text('model = "emps"\n[records]\nestimation = ["a.csv"]\n[estimation]\npredict = [4]\n')
     refused = next_command(parse("fit", ["study.toml"]), make_fit(), Path("fit.json"))
     assert spell_following(refused, COMMANDS) == "greybox discover emps a.csv --validate ANOTHER_RECORD.csv"
+    # A search after a comparison is one among all effects: the file would narrow it again.
+    Path("study.toml").write_text(
+        'model = "emps"\ncandidates = ["backlash"]\n[records]\nestimation = ["a.csv"]\nvalidation = ["b.csv"]\n'
+    )
+    compared = parse("compare", ["study.toml"])
+    assert compared.candidates == ("backlash",)
+    among_all = compared.but(candidates=()).then("discover", compared.model, *compared.estimation)
+    assert spell_following(among_all, COMMANDS) == "greybox discover emps a.csv --validate b.csv"
