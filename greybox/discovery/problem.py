@@ -129,7 +129,7 @@ class FittedCandidate:
 
     @property
     def is_falling(self) -> bool:
-        """Whether its refit ended at the limit of its iterations, and not at an optimum."""
+        """Whether one step more promises so much of its cost that its refit has not arrived (at a kink a promise is not kept)."""
         return self.promised_decrease > STILL_FALLING * self.cost
 
 

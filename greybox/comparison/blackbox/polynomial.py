@@ -670,12 +670,8 @@ def estimate_initial_state(
     count = int(usable.sum()) + int(np.isfinite(measured[later]).sum())
     if not count:
         return np.zeros(free.shape[1])
-    # Coordinates z = R x of responses that are orthogonal over the whole record and of unit size there
-    triangle = np.linalg.qr(free[bounded], mode="r") / np.sqrt(len(measured) - np.count_nonzero(~bounded))
-    # Fewer rows than responses, where these grow fast, tell of as many directions alone.
-    _, size, right = np.linalg.svd(triangle, full_matrices=False)
-    significant = size > numerics.NEGLIGIBLE_SINGULAR_VALUE * size[0]
-    back = right[significant].T / size[significant]
+    # Coordinates of responses that are of unit size, rms, over the whole record.
+    back = find_orthogonal_directions(free[bounded]) * np.sqrt(len(measured) - np.count_nonzero(~bounded))
     seen, wanted = free[usable] @ back / np.sqrt(count), target[usable] / np.sqrt(count)
     u, s, v = np.linalg.svd(seen, full_matrices=False)
     # Coordinates of unit size over the whole record: a small singular value on the first rows is what the rest would
@@ -691,6 +687,17 @@ def estimate_initial_state(
     return back @ z
 
 
+def find_orthogonal_directions(responses: np.ndarray) -> np.ndarray:
+    """Directions (m, d) along which ``responses`` (k, m) are orthonormal, without those that are lost in rounding.
+
+    Fewer rows than responses, where these grow fast, tell of as many directions alone.
+    """
+    # With A = Q R and R = U S V', A (V / S) = Q U has orthonormal columns.
+    _, size, right = np.linalg.svd(np.linalg.qr(responses, mode="r"), full_matrices=False)
+    significant = size > numerics.NEGLIGIBLE_SINGULAR_VALUE * size[0]
+    return right[significant].T / size[significant]
+
+
 def lengthen_first_rows(responses: np.ndarray, rows: int) -> int:
     """The first ``rows``, doubled until they hold `INITIAL_STATE_SHARE` of what all rows tell of an initial state along every direction.
 
@@ -698,10 +705,8 @@ def lengthen_first_rows(responses: np.ndarray, rows: int) -> int:
     """
     if not responses.any():
         return rows
-    _, size, right = np.linalg.svd(np.linalg.qr(responses, mode="r"), full_matrices=False)
-    significant = size > numerics.NEGLIGIBLE_SINGULAR_VALUE * size[0]
     # Coordinates in which the information of all rows, seen' seen, is the identity.
-    seen = responses @ (right[significant].T / size[significant])
+    seen = responses @ find_orthogonal_directions(responses)
     while rows < len(responses) and np.linalg.norm(seen[:rows].T @ seen[:rows], -2) < INITIAL_STATE_SHARE:
         rows = 2 * rows or 1
     return rows

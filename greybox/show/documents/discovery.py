@@ -107,9 +107,7 @@ def _sets_table(discovery: Discovery, most: int | None = None) -> doc.TableBlock
             " that their first half gave too; those of the other sets may rest on the estimation records alone."
         )
     if any(not row[-2] for row in rows[1:]):
-        note += (
-            " A set without an error was fitted too, leads nowhere on the estimation records, and was not run on these."
-        )
+        note += " A set without an error was fitted too, but was too far behind on the estimation records to be run on these."
     return doc.TableBlock("Sets of effects", head, rows, note)
 
 
