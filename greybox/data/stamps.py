@@ -181,8 +181,10 @@ def _undo_clock_changes(
         moments = moments + np.append(0, np.cumsum(nights)) * DAY
         return moments, [(RecordCode.MIDNIGHT_PASSED, {"nights": int(nights.sum())})] if nights.any() else []
     usual = int(np.median(step))
-    # In autumn an hour is counted twice, in spring one is left out: but for an hour the step is the usual one.
-    back, ahead = (np.abs(step - usual - change) <= usual // 2 for change in (-_HOUR, _HOUR))
+    # In autumn an hour is counted twice, in spring one is left out: but for an hour the step is the usual one. A step is a changed one
+    # only where that is nearer than no change, which of rows hours apart, or of days, half a step would not tell.
+    nearest = min(usual, _HOUR) // 2
+    back, ahead = (np.abs(step - usual - change) <= nearest for change in (-_HOUR, _HOUR))
     back |= (step > -_HOUR) & (step < 0)
     shift, changes = np.zeros(len(moments), np.int64), list[tuple[RecordCode, dict[str, Any]]]()
     for k in np.flatnonzero(back | ahead):

@@ -153,6 +153,8 @@ def test_stamps_of_two_kinds_in_one_column_are_refused(tmp_path, rows):
     [
         ("Europe/Berlin", dt.datetime(2024, 10, 26, 23, tzinfo=dt.UTC), 15),
         ("Europe/Berlin", dt.datetime(2024, 10, 26, 20, tzinfo=dt.UTC), 60),
+        ("Europe/Berlin", dt.datetime(2024, 3, 30, 11, tzinfo=dt.UTC), 120),
+        ("Europe/Berlin", dt.datetime(2024, 10, 26, 12, tzinfo=dt.UTC), 180),
         ("Europe/London", dt.datetime(2024, 3, 30, 22, tzinfo=dt.UTC), 10),
         ("America/New_York", dt.datetime(2024, 11, 3, 2, tzinfo=dt.UTC), 20),
         ("America/New_York", dt.datetime(2024, 3, 10, 3, tzinfo=dt.UTC), 30),
@@ -174,6 +176,14 @@ def test_a_gap_or_a_step_back_that_is_no_change_of_summer_time_stays(tmp_path):
     back = [dt.datetime(2024, 10, 23, 1) + dt.timedelta(minutes=15 * k - 60 * (k > 9)) for k in range(N)]
     with pytest.raises(DataError, match="time goes back at line 12"):
         read_csv(write_table(tmp_path / "back.csv", back), LAG)
+
+
+@pytest.mark.parametrize("hours", [2, 3, 24])
+def test_rows_hours_apart_on_a_sunday_of_a_month_of_changes_are_no_change_of_summer_time(tmp_path, hours):
+    moments = [dt.datetime(2024, 4, 13) + k * dt.timedelta(hours=hours) for k in range(N)]
+    record = read_csv(write_table(tmp_path / "slow.csv", [f"{m:%Y-%m-%d %H:%M}" for m in moments]), LAG)
+    np.testing.assert_allclose(record.time, 3600.0 * hours * np.arange(N))
+    assert RecordCode.SUMMER_TIME not in codes(record)
 
 
 def _workbook(path, **sheets):
