@@ -18,7 +18,7 @@ from greybox.base.texts import to_word
 from greybox.base.units import Conversion, unit_converter
 from greybox.data.findings import RecordCode
 from greybox.data.headers import LONGEST_HEADER, TIME, Column, UnitSource, parse_header, read_endings, read_time
-from greybox.data.notation import WORDS, converts, is_count, read_conversion, read_notation
+from greybox.data.notation import WORDS, converts, find_other_cases, is_count, read_conversion, read_notation
 from greybox.data.policy import ReadingPolicy
 from greybox.data.problems import RowLabels, enumerate_first
 from greybox.data.stamps import MISSING, Stamps, from_digits
@@ -517,7 +517,7 @@ def match_columns(
         if s in matched
     }
     conversions = {
-        s: _find_conversion(replace(c, unit="") if c.position in table.dated else c, s, are_named, doubts)
+        s: find_conversion(replace(c, unit="") if c.position in table.dated else c, s, are_named, doubts)
         for s, c in matched.items()
     }
     return ColumnMatch(
@@ -689,8 +689,23 @@ def _explain_per_cent(signal: RequestedSignal, column: Column, are_named: bool) 
     return f"; if 100 % is 12 {signal.unit}, {_explain_share(signal, column, '0.12', are_named)}"
 
 
-def _find_conversion(column: Column, signal: RequestedSignal, are_named: bool, problems: list[str]) -> Conversion:
-    """From numbers of the column to the signal's unit; a unit that does not convert goes to ``problems``."""
+def find_conversion(column: Column, signal: RequestedSignal, are_named: bool, problems: list[str]) -> Conversion:
+    """How the numbers of a column become those of a signal.
+
+    Parameters
+    ----------
+    column, signal
+        The column with its unit, and what it is read for.
+    are_named
+        Whether the names of all columns are told, so that a unit is stated among them.
+    problems
+        Takes the message for a unit that does not convert; the numbers then stay as they are.
+
+    Returns
+    -------
+    Conversion
+        From the unit of the column to that of the signal.
+    """
     as_it_is = Conversion(lambda values: values, True)
     if not column.unit:
         return as_it_is
@@ -706,6 +721,16 @@ def _find_conversion(column: Column, signal: RequestedSignal, are_named: bool, p
             problems.append(
                 f"column {shorten(column.header)!r} holds counts, and {signal.label} is wanted: say what one count is;"
                 f" {example}, {how}"
+            )
+            return as_it_is
+        if cases := find_other_cases(column.unit, signal.unit):
+            # The numbers are hardly those of the signal's own unit: a remedy that takes them so would be wrong by a prefix.
+            remedies = (
+                f"if it is in {c}, {_explain_mapping(signal, replace(column, unit=c), are_named)}" for c in cases
+            )
+            problems.append(
+                f"column {shorten(column.header)!r} in {shorten(column.unit)} does not convert to {signal.label}: {error}; capital and"
+                f" small letters are different units: {'; '.join(remedies)}"
             )
             return as_it_is
         how, count = _explain_mapping(signal, replace(column, unit=signal.unit or "1"), are_named), ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
+from itertools import product
 
 from greybox.base import ModelError, is_unit, parse_unit, unit_converter
 from greybox.base.units import Conversion, UnitError, has_zero_point, parse_powers
@@ -209,3 +210,28 @@ def converts(text: str, target: str, *, is_told: bool = False) -> bool:
     except ModelError:
         return False
     return True
+
+
+# Letters of a text whose cases are tried: each one doubles their number.
+MOST_CASES = 6
+
+
+def find_other_cases(text: str, target: str) -> tuple[str, ...]:
+    """The units of the kind of ``target`` that a text is with other capitals: ``MS`` for seconds is ``ms`` or ``Ms``.
+
+    Parameters
+    ----------
+    text
+        A unit that does not convert to ``target`` as it is written.
+    target
+        Unit of the signal that it is read for.
+
+    Returns
+    -------
+    tuple of str
+        In the spelling of this library, the one with the most small letters first.
+    """
+    if sum(map(str.isalpha, text)) > MOST_CASES:
+        return ()
+    cases = map("".join, product(*(dict.fromkeys((letter.lower(), letter.upper())) for letter in text)))
+    return tuple(dict.fromkeys(read_notation(case, target) for case in cases if converts(case, target)))

@@ -27,8 +27,11 @@ from greybox.base import (
 from greybox.data import array_table, channels, file_kinds, policy, sampling, sensor_faults
 from greybox.data.columns import (
     WITHOUT_MARKS,
+    RequestedSignal,
+    SignalKind,
     counts_up,
     describe_second_time,
+    find_conversion,
     find_likely_times,
     find_likely_unit,
     find_stamp_unit,
@@ -233,8 +236,9 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, rena
         counted = arrays[clock.position]
         unit = clock.unit or find_stamp_unit(counted)
         columns[clock.position] = clock = replace(clock, unit=unit)
-        # A clock in a unit of something else is looked at as it stands.
-        time = read_conversion(unit, "s")(counted) if unit and converts(unit, "s") else counted
+        # As a fit reads it, and refused for the same reason.
+        refused: list[str] = []
+        time = find_conversion(clock, RequestedSignal(SignalKind.TIME, TIME, "s"), False, refused)(counted)
         dates = (
             from_epoch(time)
             if find_stamp_unit(time) == "s"
@@ -242,7 +246,10 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None, rena
             if clock.unit in ("", "s")
             else None
         )
-        if dates is not None:
+        if refused:
+            findings.append(Finding(RecordCode.TIME_UNUSABLE, Severity.WARNING, values={"reason": refused[0]}))
+            time = None
+        elif dates is not None:
             stamps[clock.position] = dates
         elif clock.position not in stamps and (likely := find_likely_unit(time, stated=bool(clock.unit))):
             columns[clock.position] = clock = replace(clock, unit=likely)

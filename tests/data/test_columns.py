@@ -498,3 +498,36 @@ def test_a_share_in_per_cent_is_asked_of_what(tmp_path, header):
         read_csv(path, CART, columns={"f": header})
     assert f"'f [0.12*N]': {header!r}" in str(asked.value)
     assert read_csv(path, CART, columns={"f [0.12*N]": header}).inputs["f"].tolist() == [6.0, 12.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("headers", "units"),
+    [
+        (("Time [MS]", "x [mv]"), ("ms", "mV")),
+        (("t (mS)", "x [MV]"), ("ms", "mV")),
+        (("time [S]", "x [v]"), ("s", "V")),
+    ],
+)
+def test_a_unit_in_other_capitals_is_asked_for_in_the_units_that_it_may_be(tmp_path, headers, units):
+    path = tmp_path / "run.csv"
+    path.write_text(",".join(headers) + "\n0,1000\n20,3000\n40,2000\n")
+    model = SimpleNamespace(name="any", inputs=(), outputs=(Output("x", "V"),), stated_parameters=())
+    with pytest.raises(DataError, match=r"capital and small letters") as asked:
+        read_arrays(path, model)
+    # What the message says to type is right, and does not take the numbers in the unit of the model.
+    keys = [f"{name} [{unit}]" for name, unit in zip(("time", "x"), units, strict=True)]
+    columns = {k: h for k, h in zip(keys, headers, strict=True) if f"{{{k!r}: {h!r}}}" in str(asked.value)}
+    read = read_arrays(path, model, columns=columns)
+    np.testing.assert_allclose(read.time, np.array([0, 20, 40]) * (1e-3 if units[0] == "ms" else 1))
+
+
+@pytest.mark.parametrize("unit", ["MS", "ticks", "°C"])
+def test_a_look_at_a_file_takes_no_time_in_seconds_whose_unit_is_another(tmp_path, unit):
+    path = tmp_path / "run.csv"
+    path.write_text(f"time [{unit}],x\n0,1\n20,3\n40,2\n")
+    survey = survey_file(path)
+    (reason,) = [f.values["reason"] for f in survey.findings if f.code is RecordCode.TIME_UNUSABLE]
+    assert f"'time [{unit}]'" in reason and "write columns=" in reason
+    assert all(s.step is None for s in survey.signals)
+    told = survey_file(path, columns={"time [10 ms]": f"time [{unit}]"})
+    assert {s.step for s in told.signals} == {0.2} and not told.findings
