@@ -79,7 +79,7 @@ def fleet(study: FleetStudy) -> Answer:
         code=ExitCode.INTERRUPTED
         if result.left
         else ExitCode.UNSUCCESSFUL
-        if result.without_result
+        if result.without_result or not result.usable
         else ExitCode.SUCCESS,
     )
 

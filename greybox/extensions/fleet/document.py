@@ -184,9 +184,15 @@ DOCUMENTS = {"FleetResult": describe_fleet}
 @writes(FleetCode.RECORDS_FITTED)
 def _fitted(finding: Finding) -> str:
     v = finding.values
-    if v["fitted"] == v["records"]:
-        return f"all {v['records']} records were fitted" if v["records"] > 1 else "the record was fitted"
-    return f"{v['fitted']} of {wording.count_noun(v['records'], 'record')} were fitted"
+    if v["fitted"] < v["records"]:
+        text = f"{v['fitted']} of {wording.count_noun(v['records'], 'record')} were fitted"
+    else:
+        text = f"all {v['records']} records were fitted" if v["records"] > 1 else "the record was fitted"
+    if v["followed"] == v["fitted"]:
+        return text
+    if v["fitted"] == 1:
+        return f"{text}, and the model does not follow it"
+    return f"{text}, and the model follows {'only ' + str(v['followed']) if v['followed'] else 'none'} of them"
 
 
 register(

@@ -256,8 +256,10 @@ class FleetResult(Printable, StoredResult):
     @property
     def findings(self) -> tuple[Finding, ...]:
         """How many records have a result, which have none and why, and what is said of how many, the most frequent first."""
-        severity = Severity.NOTE if self.fitted == self.total else Severity.WARNING
-        result = [Finding(FleetCode.RECORDS_FITTED, severity, "", {"fitted": self.fitted, "records": self.total})]
+        # A search may succeed with a model that follows nothing: the first line says of how many records the constants mean something.
+        summary = {"fitted": self.fitted, "records": self.total, "followed": len(self.usable)}
+        severity = Severity.NOTE if len(self.usable) == self.total else Severity.WARNING
+        result = [Finding(FleetCode.RECORDS_FITTED, severity, "", summary)]
         if self.left:
             values = {"left": self.left, "records": self.total}
             result.append(Finding(FleetCode.RECORDS_LEFT, Severity.WARNING, "", values))

@@ -296,22 +296,43 @@ def test_the_page_and_the_text_say_the_same() -> None:
 
     page = describe_fleet(fleet)
     assert page.question == "What are the constants of first_order in each of 8 records?"
-    counts = ({"fitted": 1, "records": 1}, {"fitted": 8, "records": 8}, {"fitted": 7, "records": 8})
-    texts = [str(Finding(FleetCode.RECORDS_FITTED, values=values)) for values in counts]
-    assert texts == ["the record was fitted", "all 8 records were fitted", "7 of 8 records were fitted"]
+    counts = [
+        dict(zip(("fitted", "records", "followed"), n, strict=True))
+        for n in ((1, 1, 1), (1, 1, 0), (8, 8, 8), (7, 8, 5), (8, 8, 0))
+    ]
+    assert [str(Finding(FleetCode.RECORDS_FITTED, values=values)) for values in counts] == [
+        "the record was fitted",
+        "the record was fitted, and the model does not follow it",
+        "all 8 records were fitted",
+        "7 of 8 records were fitted, and the model follows only 5 of them",
+        "all 8 records were fitted, and the model follows none of them",
+    ]
     (figure,) = (block.figure for block in page.evidence)
     assert [panel.name for panel in figure.panels] == ["gain", "lag", "misfit of y"]
     assert [panel.series[0].lengths.sum() for panel in figure.panels] == [8, 8, 8]
 
 
+LAG_FILE = """
+from greybox import Balance, Input, Model, Output, Parameter, State
+model = Model('lag', [State('y', '1')], [Input('u', '1')], [Output('y', '1')],
+    [Parameter('gain', '1', 1.3, (1e-3, 1e3)), Parameter('lag', 's', 0.8, (1e-3, 1e3))],
+    lambda x, u, p: [Balance('lag', '1', p.lag, 'y', drive=p.gain * u.u, decay=-x.y)])
+"""
+
+
+def test_a_fleet_that_its_model_does_not_follow_is_no_success(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lag.py").write_text(LAG_FILE)
+    for k in range(2):
+        write_record(tmp_path / f"{k}.csv", k)
+    done = CliRunner().invoke(app, ["fleet", "lag.py", "0.csv", "1.csv", "--fix", "gain=1000", "--no-report"])
+    assert done.exit_code == 1
+    assert "all 2 records were fitted, and the model follows none of them" in " ".join(done.output.split())
+
+
 def test_the_command_writes_table_summary_and_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "lag.py").write_text(
-        "from greybox import Balance, Input, Model, Output, Parameter, State\n"
-        "model = Model('lag', [State('y', '1')], [Input('u', '1')], [Output('y', '1')],\n"
-        "    [Parameter('gain', '1', 1.3, (1e-3, 1e3)), Parameter('lag', 's', 0.8, (1e-3, 1e3))],\n"
-        "    lambda x, u, p: [Balance('lag', '1', p.lag, 'y', drive=p.gain * u.u, decay=-x.y)])\n"
-    )
+    (tmp_path / "lag.py").write_text(LAG_FILE)
     (tmp_path / "bench").mkdir()
     for k in range(6):
         write_record(tmp_path / "bench" / f"{k}.csv", k)
