@@ -53,7 +53,7 @@ from greybox.data.problems import (
     find_repeats,
     raise_problems,
 )
-from greybox.data.stamps import SECOND, StampReader, Stamps, Start, find_origin, from_digits, from_epoch
+from greybox.data.stamps import DAY, SECOND, StampKind, StampReader, Stamps, Start, find_origin, from_digits, from_epoch
 from greybox.model import Model
 
 Arrays = dict[str, np.ndarray]
@@ -280,9 +280,29 @@ def _read_limit(limit: float | str | None, record: RecordArrays) -> float | None
         stamps = reader.finish()
         if stamps.kind is not start.kind:
             raise DataError(f"{what}: the record counts from a {start.kind} ({start}); write one") from None
+        if stamps.swapped is not None and stamps.kind is StampKind.CLOCK:
+            raise DataError(
+                f"{what} can be read as hours:minutes and as minutes:seconds; write all three, as in 00:05:00"
+            ) from None
         if stamps.swapped is not None:
             raise DataError(f"{what} can be read as day/month and as month/day; write it as 2024-03-31 13:30") from None
-        return (int(stamps.nanoseconds[0]) - start.nanoseconds) / SECOND
+        if stamps.zoned is not start.zoned:
+            # Read in another zone it would be hours beside what is meant.
+            remedy = (
+                "write it with one, as in 2024-03-31 13:30+02:00, or 13:30Z" if start.zoned else "write it without one"
+            )
+            raise DataError(
+                f"{what} has {'no' if start.zoned else 'a'} time zone, and the record counts from {start}, "
+                f"which has {'one' if start.zoned else 'none'}; {remedy}"
+            ) from None
+        moment = int(stamps.nanoseconds[0])
+        # Behind midnight a time of day is small again: the first one that the record reaches is meant.
+        if moment < start.nanoseconds and any(f.code is RecordCode.MIDNIGHT_PASSED for f in record.findings):
+            moment += DAY
+        # The rows behind a change of the clock stand at the time that has gone by, which the clock does not show.
+        changes = [f.values for f in record.findings if f.code is RecordCode.SUMMER_TIME]
+        hours = sum(v["hours"] for v in changes if moment >= np.datetime64(v["at"], "ns").astype(np.int64))
+        return (moment - start.nanoseconds) / SECOND + 3600 * hours
 
 
 class _RecordSource(NamedTuple):

@@ -186,6 +186,41 @@ def test_rows_hours_apart_on_a_sunday_of_a_month_of_changes_are_no_change_of_sum
     assert RecordCode.SUMMER_TIME not in codes(record)
 
 
+@pytest.mark.parametrize(
+    ("form", "limit", "first"),
+    [
+        ("%Y-%m-%d %H:%M:%S%z", "2024-10-27 04:00+01:00", 20),
+        ("%Y-%m-%d %H:%M:%S%z", "2024-10-27 03:00Z", 20),
+        ("%Y-%m-%d %H:%M:%S%z", "2024-10-27 04:00", "no time zone, and the record counts from 2024-10-26 22:00:00 UTC"),
+        ("%Y-%m-%d %H:%M:%S", "2024-10-27 01:00", 4),
+        ("%Y-%m-%d %H:%M:%S", "2024-10-27 04:00", 20),
+        (
+            "%Y-%m-%d %H:%M:%S",
+            "2024-10-27 04:00+01:00",
+            "a time zone, and the record counts from 2024-10-27 00:00:00, which",
+        ),
+    ],
+)
+def test_a_part_begins_where_the_clock_of_the_file_says_so(tmp_path, form, limit, first):
+    begin = dt.datetime(2024, 10, 26, 22, tzinfo=dt.UTC)
+    local = [(begin + k * dt.timedelta(minutes=15)).astimezone(ZoneInfo("Europe/Berlin")) for k in range(N)]
+    path = write_table(tmp_path / "run.csv", [m.strftime(form) for m in local])
+    if isinstance(first, int):
+        assert read_csv(path, LAG, window=(limit, None)).time[0] == 900 * first
+    else:
+        with pytest.raises(DataError, match=first):
+            read_csv(path, LAG, window=(limit, None))
+
+
+def test_a_part_that_begins_behind_midnight_begins_there(tmp_path):
+    clock = [dt.datetime(2024, 1, 1, 23, 50) + k * dt.timedelta(minutes=1) for k in range(N)]
+    path = write_table(tmp_path / "run.csv", [f"{m:%H:%M:%S}" for m in clock])
+    assert read_csv(path, LAG, window=("00:05:00", "00:15:00")).time.tolist() == [60.0 * k for k in range(15, 26)]
+    assert read_csv(path, LAG, window=("23:55", "00:15:00")).time.tolist() == [60.0 * k for k in range(5, 26)]
+    with pytest.raises(DataError, match="hours:minutes and as minutes:seconds"):
+        read_csv(path, LAG, window=("00:05", None))
+
+
 def _workbook(path, **sheets):
     book = openpyxl.Workbook()
     book.remove(book.active)
