@@ -128,6 +128,13 @@ class Claim(ReadOnly):
         """Whether it may be said."""
         return self.grade is Grade.ESTABLISHED
 
+    @property
+    def is_lesser_part(self) -> bool:
+        """Whether it takes less than half of the error where more than half of what is left is no noise: the greater part is not known,
+        and may act elsewhere and show there as well.
+        """
+        return self.depth > Depth.MISSING and self.share < HALF < self.left
+
 
 # Probability from which a claim is established, and from which it is probable; below it is a stand-in.
 ESTABLISHED_FROM = 0.75
@@ -136,6 +143,8 @@ PROBABLE_FROM = 0.5
 LEAST_FREQUENCY = 0.2
 # Share of the error that what is claimed must take: less is no answer to what is missing.
 LEAST_SHARE = 0.05
+# Half of the rms error: who takes less, where more is left that no set explains, has not found what most of the error is.
+HALF = 0.5
 # Difference of the logarithms of two errors below which two sets win together.
 SAME_LOG_ERROR = 1e-3
 # Share of the resamples, of those in which a set is good, from which another one that is good too does the same.
@@ -367,7 +376,7 @@ class Grounds:
         """Whether something else than its probability keeps a claim from being established."""
         if self.is_cut or not self.is_settled:
             return True
-        if claim.is_matched or (self.is_contradicted and claim.depth is not Depth.MISSING):
+        if claim.is_matched or claim.is_lesser_part or (self.is_contradicted and claim.depth is not Depth.MISSING):
             return True
         # A signal over time has no variables, no family and no name; where it acts it has as well.
         if claim.depth >= Depth.VARIABLES and set(self.nonsense) & set(claim.sites):

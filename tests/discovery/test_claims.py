@@ -413,6 +413,14 @@ def test_a_grade_rests_on_more_than_a_probability(grounds, established):
     assert grade_claims([doubtful], grounds)[0].grade is Grade.STAND_IN
 
 
+@pytest.mark.parametrize(
+    ("share", "left", "is_established"), [(0.4, 0.6, False), (0.6, 0.9, True), (0.4, 0.4, True), (0.1, 0.0, True)]
+)
+def test_where_more_is_left_than_an_effect_takes_only_that_something_is_missing_is_certain(share, left, is_established):
+    graded = grade_claims([replace(c, share=share, left=left) for c in (MISSING, PLACE, VARIABLES, NAME)])
+    assert [c.is_established for c in graded] == [True, *[is_established] * 3]
+
+
 def test_the_sum_within_a_formula_is_no_second_name_of_a_rival():
     assert split_names("coulomb_friction + k*(v/(c + abs(v))) + cogging") == [
         "coulomb_friction",
