@@ -65,7 +65,7 @@ def test_a_stop_has_the_position_where_it_begins():
     assert surrogate.shape.position == pytest.approx(4e-5, rel=0.1)
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_dead_zone_seen_through_a_resonance_is_found_at_the_input():
     """The localisation by a slowly varying signal has it elsewhere: a curve where curves are usual is refitted with the model."""
     _, location, surrogate, _ = fit_surrogate(micro_actuator, {"input_dead_zone": {"d": 0.3}}, {"x": 2e-7}, rows=400)

@@ -44,10 +44,10 @@ def fail(*_, **__):
 @pytest.mark.parametrize(
     ("place", "stage"),
     [
-        ("conclusion.localise_residual", SearchStage.LOCALISATION),
+        pytest.param("conclusion.localise_residual", SearchStage.LOCALISATION, marks=pytest.mark.slow),
         ("conclusion.add_objections", SearchStage.WEIGHING),
         ("conclusion.estimate_effect_signals", SearchStage.EVIDENCE),
-        ("proposers.list_shape_corrections", SearchStage.SHAPE_CORRECTION),
+        pytest.param("proposers.list_shape_corrections", SearchStage.SHAPE_CORRECTION, marks=pytest.mark.slow),
     ],
 )
 def test_a_stage_that_fails_does_not_end_the_search(rig, monkeypatch, place, stage):
@@ -108,7 +108,7 @@ FRICTION = {"coulomb_friction": {"Fc": 0.05}}
     ("noise", "more"),
     [
         pytest.param(NOISE, {}, id="nothing else is missing-noise told"),
-        pytest.param(None, {}, id="nothing else is missing-noise untold"),
+        pytest.param(None, {}, id="nothing else is missing-noise untold", marks=pytest.mark.slow),
         pytest.param(NOISE, FRICTION, id="another effect is-noise told", marks=pytest.mark.slow),
         pytest.param(None, FRICTION, id="another effect is-noise untold", marks=pytest.mark.slow),
     ],

@@ -135,7 +135,7 @@ def test_nonsense_is_not_established_where_a_spring_hardens(rig):
     assert [e["grade"] for e in found.effects] == ["established"]
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_one_win_leaves_the_rate_open_and_more_contests_are_held(rig, monkeypatch):
     held = iter([0.5 * (f + np.append(f[1:], f[-1])) for f in (1e10 * record.outputs["x"] ** 3 for record in rig)])
     draw_signals = false_names._draw_signals
@@ -165,7 +165,7 @@ def test_the_signal_of_the_effect_itself_is_established_and_takes_its_name_the_c
     assert found.verdict != "named"
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_contests_that_fail_leave_the_answer_as_it_is(rig, monkeypatch):
     def fail(*_):
         raise FitError("on purpose")

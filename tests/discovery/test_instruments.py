@@ -23,14 +23,11 @@ def search(model, record, rows):
     return gb.discover(model, learnt, validation=kept, noise=NOISE, effects=[gb.effect(name) for name in NAMES])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("made", "name", "value", "rows"),
     [
-        pytest.param(
-            *({"gain": 9.80665}, "input_gain", 1 / 9.80665 - 1, 300),
-            marks=pytest.mark.slow,
-            id="kilogram-force read as newton",
-        ),
+        pytest.param({"gain": 9.80665}, "input_gain", 1 / 9.80665 - 1, 300, id="kilogram-force read as newton"),
         pytest.param({"skew": 0.04}, "clock_skew", 0.04, 180, id="a clock that is 4 % slow"),
     ],
 )
@@ -80,6 +77,7 @@ def test_weighed_constants_that_take_a_gain_are_said_where_nothing_is_establishe
     assert alike in found.all_findings
 
 
+@pytest.mark.slow
 def test_where_the_constants_are_free_no_scale_is_tried_and_the_answer_says_what_takes_it():
     record = swung(gain=1.15)
     learnt, kept = record.window(0, 400), record.window(400, 600)

@@ -146,6 +146,7 @@ def test_refits_in_other_processes_give_the_same(rig):
     assert [r.misfit for r in here.ranking] == pytest.approx([r.misfit for r in there.ranking], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_what_is_outside_the_catalogue_gets_a_curve(rig):
     found = discover(
         plain_model(micro_actuator),

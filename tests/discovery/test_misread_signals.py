@@ -124,16 +124,16 @@ def search(name, reversed_signals=(), late=0, among=()):
 LIKE_A_WIRE = ("gain_by_sign", "input_offset", "sensor_gain", "transport_delay", "cubic_stiffness")
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "signal", "effect", "among"),
     [
-        pytest.param("motor", "w", "reversed_reading_at_w", (), marks=pytest.mark.slow),
-        pytest.param("stage", "x", "reversed_reading", (), marks=pytest.mark.slow),
+        ("motor", "w", "reversed_reading_at_w", ()),
+        ("stage", "x", "reversed_reading", ()),
         ("stage", "x", "reversed_reading", LIKE_A_WIRE),
-        pytest.param("stage", "F", "reversed_input", (), marks=pytest.mark.slow),
-        pytest.param("heater", "P", "reversed_input", (), marks=pytest.mark.slow),
-        pytest.param("heater", "Ta", "reversed_input_at_Ta", (), marks=pytest.mark.slow),
+        ("stage", "F", "reversed_input", ()),
+        ("heater", "P", "reversed_input", ()),
+        ("heater", "Ta", "reversed_input_at_Ta", ()),
     ],
 )
 def test_the_reversed_signal_is_named(name, signal, effect, among):
@@ -177,7 +177,7 @@ def test_two_reversed_readings_are_one_reversed_input():
     assert [e["name"] for e in search("motor", ("i", "w"), among=LIKE_A_WIRE).effects] == ["reversed_input"]
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_where_input_and_reading_may_be_reversed_alike_neither_is_certain():
     rng = np.random.default_rng(4)
     u = np.repeat(rng.uniform(-1, 1, 60), 10)
@@ -192,10 +192,8 @@ def test_where_input_and_reading_may_be_reversed_alike_neither_is_certain():
     assert "reversed_input" in str(found) and "reversed_reading" in str(found)
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize(
-    "name", ["heater", *(pytest.param(name, marks=pytest.mark.slow) for name in ("stage", "motor"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["heater", "stage", "motor"])
 def test_right_signs_are_left_alone(name):
     assert search(name).verdict == "complete"
 

@@ -71,6 +71,7 @@ CASES = [
         {"viscoelastic_creep": {"K1": 400.0, "tau1": 0.03}},
         WELL,
         ("bouc_wen_hysteresis", "winding_heating"),
+        slow=True,
     ),
     case(
         micro_actuator,
@@ -100,7 +101,7 @@ CASES = [
         slow=True,
     ),
     case(micro_actuator, {"input_dead_zone": {"d": 0.15}}, WELL, ("coulomb_friction", "quadratic_damping"), slow=True),
-    case(micro_actuator, {"transport_delay": {"delay": 3.75e-4}}, WELL, ("sensor_lag", "eddy_current")),
+    case(micro_actuator, {"transport_delay": {"delay": 3.75e-4}}, WELL, ("sensor_lag", "eddy_current"), slow=True),
     case(micro_actuator, {"sensor_drift": {"rate": 1e-4}}, WELL, ("constant_load", "viscoelastic_creep"), slow=True),
     case(
         pneumatic_cylinder,
@@ -326,7 +327,7 @@ def duffing_record(name, seed):
     return Experiment(name, np.arange(300) * step, {"u": force}, {"x": x[:, 0] + 0.005 * rng.normal(size=300)})
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_of_what_does_the_same_the_simplest_is_the_answer():
     """At such small motion a hysteresis of three constants follows a cubic spring: that is no reason to say nothing."""
     mass = replace(MASS, outputs=(Output("x", "m"),)).start(B=0.6, K=3.0)

@@ -44,7 +44,7 @@ def record(correlation, seed=1):
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("correlation", [0.0, 0.8])
+@pytest.mark.parametrize("correlation", [pytest.param(0.0, marks=pytest.mark.slow), 0.8])
 @pytest.mark.parametrize("noise", [{}, {"y": 0.01, "z": 0.002}])
 def test_a_model_has_one_misfit_over_noise(noise, correlation):
     problem = DiscoveryProblem(plant(), (record(correlation),), noise, (), FitOptions())

@@ -221,7 +221,7 @@ def without():
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("drift_of_third", [0.0, 0.03])
+@pytest.mark.parametrize("drift_of_third", [pytest.param(0.0, marks=pytest.mark.slow), 0.03])
 def test_a_third_record_takes_no_part_and_holds_the_answer_against_the_plain_model(without, drift_of_third):
     """The sensor drifted on the two days that the search knows; on the third as well, or not."""
     third = lag_record("third day", 3, lambda t: drift_of_third * t)
@@ -269,7 +269,7 @@ def search_for_sensor_lag(rows, seed, unknown=0.0):
     )
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_search_that_learnt_from_the_validation_record_learns_no_second_time():
     found = search_for_sensor_lag(9, 0, unknown=0.15)
     assert len(with_code(found.findings, DiscoveryCode.LEARNT_FROM_VALIDATION)) == 1 and found.failures == ()
@@ -277,7 +277,7 @@ def test_a_search_that_learnt_from_the_validation_record_learns_no_second_time()
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize(("rows", "seed"), [(14, 1), (9, 0)])
+@pytest.mark.parametrize(("rows", "seed"), [(14, 1), pytest.param(9, 0, marks=pytest.mark.slow)])
 def test_constants_that_a_short_record_does_not_carry_are_learnt_from_half_of_the_other(rows, seed):
     """Of 14 rows the constants are off threefold, and yet better than no sensor lag; 9 rows show no sensor lag at all."""
     found = search_for_sensor_lag(rows, seed)

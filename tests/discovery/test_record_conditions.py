@@ -24,7 +24,7 @@ def record(seed: int, pressed: float, **conditions: float) -> gb.Experiment:
     return gb.Experiment(f"run {seed}", time, {"F": force}, {"x": shown}, conditions=conditions)
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_friction_that_grows_with_the_load_is_found_to_and_the_rest_is_the_same_in_all_records(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

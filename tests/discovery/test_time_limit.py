@@ -34,7 +34,7 @@ def test_a_search_without_time_says_so_and_calls_nothing_established() -> None:
     assert found.base.misfit["x"].rmse > 10 * 1e-5
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_what_was_found_by_then_is_the_answer_and_no_effect_of_it_is_established(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -100,6 +100,7 @@ def test_a_tone_is_found_at_rest_too_and_not_where_there_is_none(rig):
     assert find_stand_in(DiscoveryProblem(model, (rubbing,), NOISE, (), AT_REST), test).tone is None
 
 
+@pytest.mark.slow
 def test_the_tone_is_written_drawn_and_reported(found, tmp_path):
     saved = json.loads(found.save(tmp_path / "discovery.json").read_text())["stand_in"]
     assert saved["tone"]["frequency"] == found.surrogate.tone.frequency

@@ -25,7 +25,7 @@ def make_record(seed):
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("settled", [True, False])
+@pytest.mark.parametrize("settled", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_fit_that_has_not_settled_is_not_complete(settled, monkeypatch):
     moved = [{"output": "y", "records": "estimation", "before": 0.01, "after": 0.02, "unit": ""}]
     if not settled:

@@ -162,7 +162,7 @@ def test_an_effect_whose_own_values_are_a_fit_s_begins_there():
     assert fitted.values["Fc"] == 0.6 and not is_neutral(fitted, friction)
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_sharp_resonance_is_found_from_all_of_its_starts():
     dt, rows = 2e-3, 2000
     time = dt * np.arange(rows)

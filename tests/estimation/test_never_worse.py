@@ -305,16 +305,8 @@ def test_a_start_that_explicit_steps_do_not_run_is_searched_from_by_others():
     assert problem.squares({n: found.parameters[n].value for n in problem.names}) < problem.squares({})
 
 
-@pytest.mark.rest
-@pytest.mark.parametrize(
-    ("name", "draw"),
-    [
-        pytest.param("thermal chain", 2, marks=pytest.mark.slow),
-        pytest.param("thermal chain", 3, marks=pytest.mark.slow),
-        pytest.param("motor", 2, marks=pytest.mark.slow),
-        ("measles", 1),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "draw"), [("thermal chain", 2), ("thermal chain", 3), ("motor", 2), ("measles", 1)])
 def test_rates_from_anywhere_within_a_decade_are_found_and_none_runs_away(name, draw):
     """Along a plain scale one step took a conductance that the record hardly shows to zero or to 1e20, and each run there to a second."""
     problem = PROBLEMS[name]

@@ -239,7 +239,9 @@ def test_the_gradient_holds_with_priors():
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("transcription", ["multiple", "collocation-radau", "arcs"])
+@pytest.mark.parametrize(
+    "transcription", ["multiple", pytest.param("collocation-radau", marks=pytest.mark.slow), "arcs"]
+)
 def test_other_transcriptions_weigh_priors_too(transcription):
     known = micro_actuator.fix("M", "Ra").prior(La=(5.2e-4, 2e-6))
     data = linear_record(known, multisine(np.random.default_rng(1), 150, 2.5e-4, 5, 800, 3.0), 2.5e-4, noise=LEVEL)

@@ -204,7 +204,7 @@ def test_known_colour_is_whitened_before_the_tests():
     assert not found.of("x", Kind.WHITENESS, lags=5).alarm
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_predictions_beat_the_free_run_by_what_the_colour_allows():
     found = fit(TRUTH, record(1, 0.9, 20000))
     table = score(found, steps=(1, 5, 50))
