@@ -416,14 +416,19 @@ class EffectSearch:
         self.table.add(*(self.problem.converge(fit) for fit in near))
 
     def _add_relatives(self, fit: FittedCandidate) -> None:
-        """A set with each of its effects replaced by a simpler or a richer one of its family, from where it stands."""
+        """A set with each of its effects replaced by a simpler or richer one of its family, or one elsewhere, from where it stands."""
         planned = []
         for name in fit.effects:
             effect = self._find(name)
             if effect is None:
                 continue
             simpler = (*effect.parents, *effect.approaches)
-            for relative in [e for e in self.candidates if e.name in simpler or name in (*e.parents, *e.approaches)]:
+            # One of its family elsewhere may do the same: from the plain model's valley it may not have come to where this one ended.
+            moved = [
+                e.name for e in self.candidates if e.site != effect.site and self._root(e.name) == self._root(name)
+            ]
+            related = {e.name for e in self.candidates if name in (*e.parents, *e.approaches)}.union(simpler, moved)
+            for relative in [e for e in self.candidates if e.name in related]:
                 key = (key_of(fit), name, relative.name)
                 if key in self._related or relative.name in fit.effects:
                     continue

@@ -91,6 +91,21 @@ def test_a_constant_at_the_balance_does_not_hide_the_one_at_the_input(of_frictio
     assert [promise.effect.name for _, promise in chosen] == ["constant_load", "input_offset"]
 
 
+def test_its_equal_elsewhere_is_fitted_from_where_an_effect_ended():
+    """From the plain model the two may end in different valleys: the one that came further would pass for certain."""
+    listed = [gb.effect(name) for name in ("constant_load", "input_offset", "gain_by_sign")]
+    hidden = {"constant_load": {"F0": 1.5}}
+    problem = DiscoveryProblem(STAGE, (record(3, hidden),), {"x": NOISE}, (), gb.FitOptions(at_rest=True))
+    table = FitTable(HoldoutScores(problem, ValidationSet((record(53, hidden),))))
+    scales = estimate_scales(problem.baseline)
+    loop = EffectSearch(problem, table, listed, scales, DiscoveryPolicy(), lambda text: None)
+    model = STAGE + listed[0]
+    load = problem.refit_best(model, [{**model.values, "F0": 1.5}])
+    table.add(load)
+    loop._add_relatives(load)
+    assert table.get(("input_offset",)).noise_ratio == pytest.approx(load.noise_ratio, rel=1e-3)
+
+
 @pytest.mark.parametrize("noise", [NOISE, None])
 def test_a_complete_model_keeps_no_effect(noise):
     loop, winner = search({}, seed=9, noise=noise)
