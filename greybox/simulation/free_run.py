@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import casadi as ca
 import numpy as np
 
+from greybox.base.errors import ModelError
 from greybox.model import Model, System
 from greybox.simulation.integrators.discretisation import (
     ADAPTIVE,
@@ -131,7 +132,7 @@ class SettledStart:
     Parameters
     ----------
     system
-        The equations. Raises ModelError for those that are not smooth.
+        The equations. Raises ModelError for those with dry friction or play, which rest in many places.
     inputs
         What the inputs of each record are before it (experiments, nu).
     duration
@@ -139,8 +140,14 @@ class SettledStart:
     """
 
     def __init__(self, system: System, inputs: np.ndarray, duration: float) -> None:
-        self.system, self.inputs, self.duration = system, inputs, duration
-        self._kernel = AdaptiveKernel(esdirk(system))
+        if system.dry or system.updates:
+            raise ModelError(
+                "a model with dry friction or play comes to rest where its past has left it; leave settled out, and take at rest or fit"
+                " the first states"
+            )
+        # An input that stays as it is arrives as it is, however late.
+        self.system, self.inputs, self.duration = replace(system, delays=()), inputs, duration
+        self._kernel = AdaptiveKernel(esdirk(self.system))
         self._known: dict[tuple[bytes, bytes, bytes], tuple[np.ndarray, np.ndarray]] = {}
 
     def at(self, p: np.ndarray, experiment: int, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, fit, simulate
+from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit, simulate
 from greybox.base.errors import ModelError
 from greybox.estimation.transcription.preparation import prepare_problem
 
@@ -122,3 +122,29 @@ def test_what_never_rests_is_refused():
         simulate(wheel, turning, settled=True)
     with pytest.raises(ModelError, match="settled: collocation"):
         FitOptions(settled=True, transcription="collocation-radau")
+
+
+def test_an_input_that_arrives_late_has_arrived_where_a_model_rests():
+    """A first-order lag behind a delay, from rest under an input of two: its step in closed form."""
+    lag = Model(
+        "lag",
+        [State("y", "V", role="velocity")],
+        [Input("u", "V", role="drive")],
+        [Output("y", "V")],
+        [Parameter("tau", "s", 2.0, POSITIVE), Parameter("k", "1", 1.0, POSITIVE)],
+        lambda x, u, p: [Balance("lag", "V", p.tau, "y", drive=p.k * u.u, decay=-x.y)],
+    )
+    time = np.arange(200) * 0.05
+    u = np.where(time < 1.0, 2.0, -1.0)
+    late = np.maximum(time - 1.0 - 0.3, 0.0)
+    y = 1.5 * (-1.0 + 3.0 * np.exp(-late / 0.8)) + 1e-3 * np.random.default_rng(3).normal(size=200)
+    found = fit(
+        lag + effect("transport_delay"),
+        Experiment("step", time, {"u": u}, {"y": y}, "zero"),
+        noise={"y": 1e-3},
+        options=FitOptions(settled=True),
+    )
+    for name, true in {"tau": 0.8, "k": 1.5, "delay": 0.3}.items():
+        assert abs(found.parameters[name].value - true) < 4 * found.parameters[name].std
+    with pytest.raises(ModelError, match=r"dry friction .* leave settled out"):
+        fit(lag + effect("coulomb_friction"), found.traces[0].experiment, options=FitOptions(settled=True))
