@@ -14,6 +14,7 @@ import numpy as np
 
 from greybox.base import Finding, Severity
 from greybox.estimation.covariance import ParameterCovariance, compute_interval, compute_quantile
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode
 from greybox.estimation.identifiability.twins import (
     Twin,
@@ -51,7 +52,13 @@ class Exchange:
             for name, (low, high) in self.intervals.items()
         }
         parameters = Estimates({**fit.parameters, **estimates})
-        return replace(fit, parameters=parameters, findings=(*self.findings, *fit.findings))
+        # Beside the optimum of one of three that are equal the other two still are: open by their slopes alone, as all were.
+        rest = [f for f in fit.findings if not self._is_of_equals(f)]
+        return replace(fit, parameters=parameters, findings=(*self.findings, *rest))
+
+    def _is_of_equals(self, finding: Finding) -> bool:
+        is_direction = finding.code is EstimationCode.DIRECTION_UNDETERMINED
+        return is_direction and set(finding.values["direction"]) <= set(self.intervals)
 
 
 # Half the distance to a twin in standard deviations up to which the cost is no parabola: below four the interval holds the twin, and at

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import brentq, least_squares
+from scipy.signal import lsim
 
-from greybox import FitOptions, fit
+from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, fit
 from greybox.estimation.covariance import compute_quantile
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.identifiability.practical import recommend_after_fit
@@ -89,3 +90,30 @@ def test_at_a_moderate_distance_the_interval_holds_one_valley():
     threshold = compute_quantile(np.inf) ** 2 * max(found.solver.cost / (len(TIME) - 3), 1.0)
     low = brentq(lambda v: profile_by_scipy(y, v) - found.solver.cost - threshold, 0.151, slow.value - 1e-3)
     assert slow.interval[0] == pytest.approx(low, abs=2e-4)
+
+
+@pytest.mark.rest
+def test_of_three_equal_lags_none_is_to_be_fixed():
+    """Beside the optimum of one the other two are equal still; their profiles determine them all the same."""
+    three = Model(
+        "three",
+        [State(name, "V") for name in "abc"],
+        [Input("u", "V")],
+        [Output("c", "V")],
+        [Parameter(f"t{k}", "s", 0.1 * k, (1e-3, 100.0)) for k in (1, 2, 3)],
+        lambda x, u, p: [
+            Balance("first", "V", p.t1, "a", drive=u.u, decay=-x.a),
+            Balance("second", "V", p.t2, "b", drive=x.a, decay=-x.b),
+            Balance("third", "V", p.t3, "c", drive=x.b, decay=-x.c),
+        ],
+    )
+    rng = np.random.default_rng(4)
+    time, u = 0.05 * np.arange(400), np.repeat(rng.uniform(-1, 1, 20), 20)
+    _, y, _ = lsim(([1.0], np.poly([-1 / 0.3] * 3) * 0.3**3), u, time, interp=False)
+    record = Experiment("run", time, {"u": u}, {"c": y + 0.01 * rng.normal(size=400)}, "zero")
+    found = fit(three, record, noise={"c": 0.01}, options=REST)
+    assert EstimationCode.DIRECTION_UNDETERMINED not in codes(found.findings)
+    assert set(find(found.findings, IdentifiabilityCode.EXCHANGEABLE).values["exchanged"]) == {"t1", "t2", "t3"}
+    for name in ("t1", "t2", "t3"):
+        low, high = found.parameters[name].interval
+        assert low < 0.3 < high < 2 * low
