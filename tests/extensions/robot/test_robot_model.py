@@ -88,7 +88,7 @@ def test_equations_name_the_rigid_body(arm: Robot) -> None:
     assert "- coulomb_friction_at_joint_2.Fc sign(dq2)" in equations_text(both)
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_robot_in_closed_loop_is_fitted_by_short_free_runs(arm: Robot) -> None:
     """A controller follows a motion; 20 short runs find friction joint by joint and the base parameters, inside their intervals."""
     time, rng = 0.01 * np.arange(600), np.random.default_rng(4)
