@@ -100,7 +100,7 @@ def make_discrete_step(
     """The sampling interval of ``plant``: ``dt`` seconds, or that of the fitted records.
 
     ``substeps`` 0: as many as it takes that halving them changes nothing visible over the fitted record (for a model without a fit:
-    ten for the time of its fastest mode).
+    over a step of every input).
 
     Raises ModelError for a sampling time that is not above zero or not known.
     """
@@ -126,8 +126,8 @@ def make_discrete_step(
         chosen = {"target": DISCRETE_STEP_PRECISION, "inputs": inputs}
     make = partial(discretise, system, p, x0[None, :], np.array([float(period)]), method=method, written_out=True)
     step = make(**chosen)
-    if step.implicit and not substeps and "inputs" not in chosen:
-        # Stable at any length, but a step of every input shows how short it must be to be right.
+    if not (step.per_interval or substeps or "inputs" in chosen):
+        # Stable, but a step of every input shows how short it must be to be right.
         chosen = {"target": DISCRETE_STEP_PRECISION, "inputs": np.ones((TRIED_ROWS, system.u.numel()))}
         step = make(**chosen)
     start = ca.Function("start", [system.p], [ca.densify(system.start)])
