@@ -63,8 +63,8 @@ VARIABLES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
 }
 
 
-def write(rows: Sequence[Row], docs: Path, length: int) -> None:
-    """``discovery_study.md`` and ``figures/discovery_study.svg`` in ``docs``."""
+def write(rows: Sequence[Row], docs: Path, length: int, note: str = "") -> None:
+    """``discovery_study.md`` and ``figures/discovery_study.svg`` in ``docs``; ``note`` says what the rates are of."""
     (docs / "figures").mkdir(parents=True, exist_ok=True)
     _figure(rows).savefig(docs / "figures" / "discovery_study.svg", metadata={"Date": None})
     rigs = sum("correlation" in row for row in rows)
@@ -75,7 +75,8 @@ def write(rows: Sequence[Row], docs: Path, length: int) -> None:
         f" mostly {length} samples for learning, {length} for judging. `greybox.discover` sees what a user has: records, some known"
         " constants, start values up to 40 % off, and in about half of the cases the noise."
         f" A share is known to about {100 / max(len(rows), 1) ** 0.5:.0f} percentage points. The sparse regression can"
-        " only name seven effects (`fits/studies/hidden_baselines.py`). Written by `python -m fits.studies.hidden_study FOLDER --page`.",
+        " only name seven effects (`fits/studies/hidden_baselines.py`). Written by `python -m fits.studies.hidden_study FOLDER --page`."
+        + f" {note}".rstrip(),
         _scores(rows),
         "## With the truth taken away",
         "Each case again, without the true effect and its family among the candidates. An answer is wrong if it is `named`, or an"

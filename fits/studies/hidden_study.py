@@ -227,6 +227,7 @@ def main() -> None:
         "--calibrate", nargs="+", choices=depths, help="fit the map of these claims to what the folder holds"
     )
     arguments.add_argument("--page", action="store_true", help="write the pages from what the folder holds")
+    arguments.add_argument("--note", default="", help="a sentence for the page on what its rates are of")
     arguments.add_argument("--workers", type=int, default=1, help="processes; 0: one for each core")
     arguments.add_argument("--cluster", default="", help="address of a Dask scheduler, or local")
     chosen = arguments.parse_args()
@@ -239,7 +240,7 @@ def main() -> None:
         study(chosen.folder, chosen.cases, chosen.first, chosen.rows, chosen.workers, chosen.cluster)
         return
     rows, docs = read(chosen.folder), Path(__file__).resolve().parents[2] / "docs" / "studies"
-    write(rows, docs, chosen.rows)
+    write(rows, docs, chosen.rows, chosen.note)
     write_claims(rows, docs)
 
 
