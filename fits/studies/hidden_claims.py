@@ -217,7 +217,7 @@ def _figure(rows: Sequence[Row]) -> Figure:
         if places:
             x, y, count = map(np.array, zip(*places, strict=True))
             axis.scatter(x, y, s=(3 + count**0.5) ** 2, label=TITLES[d])
-    axis.legend(loc="upper left")
+    axis.legend(loc="lower right")
     axis.set_xlabel("stated probability")
     axis.set_ylabel("share that is right")
     return figure

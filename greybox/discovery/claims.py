@@ -133,7 +133,7 @@ class Claim(ReadOnly):
         """Whether it takes less than half of the error where more than half of what is left is no noise: the greater part is not known,
         and may act elsewhere and show there as well.
         """
-        return self.depth > Depth.MISSING and self.share < HALF < self.left
+        return self.depth > Depth.MISSING and self.share < GREATER_PART < self.left
 
 
 # Probability from which a claim is established, and from which it is probable; below it is a stand-in.
@@ -143,8 +143,8 @@ PROBABLE_FROM = 0.5
 LEAST_FREQUENCY = 0.2
 # Share of the error that what is claimed must take: less is no answer to what is missing.
 LEAST_SHARE = 0.05
-# Half of the rms error: who takes less, where more is left that no set explains, has not found what most of the error is.
-HALF = 0.5
+# Share of the rms error that is its greater part: what takes less, where more of the rest is no noise, is not what most of the error is.
+GREATER_PART = 0.5
 # Difference of the logarithms of two errors below which two sets win together.
 SAME_LOG_ERROR = 1e-3
 # Share of the resamples, of those in which a set is good, from which another one that is good too does the same.

@@ -140,10 +140,11 @@ class SettledStart:
     """
 
     def __init__(self, system: System, inputs: np.ndarray, duration: float) -> None:
-        if system.dry or system.updates:
+        held = [*(d.effect for d in system.dry), *(u.effect for u in system.updates)]
+        if held:
             raise ModelError(
-                "a model with dry friction or play comes to rest where its past has left it; leave settled out, and take at rest or fit"
-                " the first states"
+                f"settled: with {', '.join(held)}, which is dry friction or play, a model rests where its past has left it; leave settled"
+                " out: begin at rest, or fit the first states"
             )
         # An input that stays as it is arrives as it is, however late.
         self.system, self.inputs, self.duration = replace(system, delays=()), inputs, duration
