@@ -59,14 +59,17 @@ def test_a_comparison_weighs_its_scans() -> None:
 
 
 def test_the_line_shows_text_and_time_left_and_goes_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    seconds = iter([0.0, 0.5, 4.0, 4.0])
-    monkeypatch.setattr(progress.time, "monotonic", lambda: next(seconds))
+    # The clock stands between two steps: other threads read it too, as often as they like.
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     line = ProgressLine()
     screen = io.StringIO()
     line.console = Console(file=screen, force_terminal=True, width=120, color_system=None)
     monkeypatch.setattr(progress, "_bar", _still)
+    now[0] = 0.5
     line("too early", 0.1)
     assert line.bar is None
+    now[0] = 4.0
     line("rig: 1 of 4 starts done", 0.25)
     line.bar.refresh()
     line.stop()
@@ -78,20 +81,27 @@ def test_the_line_shows_text_and_time_left_and_goes_away(monkeypatch: pytest.Mon
 def test_without_a_terminal_a_plain_line_comes_now_and_then(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    seconds = iter([0.0, 5.0, 12.0, 15.0, 100.0])
-    monkeypatch.setattr(progress.time, "monotonic", lambda: next(seconds))
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     line = ProgressLine()
     line.console = Console(file=io.StringIO(), force_terminal=False)
-    for text, share in (("too early", 0.1), ("refit 10", 0.25), ("too soon", 0.3), ("refit 60", None)):
+    for now[0], text, share in (
+        (5.0, "too early", 0.1),
+        (12.0, "refit 10", 0.25),
+        (15.0, "too soon", 0.3),
+        (100.0, "refit 60", None),
+    ):
         line(text, share)
     line.stop()
     assert capsys.readouterr().err.splitlines() == ["refit 10; 12 s so far; about 36 s left", "refit 60; 2 min so far"]
 
 
 def test_a_silent_command_writes_no_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
-    seconds = iter([0.0, 50.0])
-    monkeypatch.setattr(progress.time, "monotonic", lambda: next(seconds))
-    ProgressLine(silent=True)("refit 10", 0.25)
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    line = ProgressLine(silent=True)
+    now[0] = 50.0
+    line("refit 10", 0.25)
     assert capsys.readouterr().err == ""
 
 
