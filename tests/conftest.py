@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 import warnings
+import zlib
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
@@ -79,6 +80,25 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     """A test that opens a browser is none of the everyday ones."""
     if "browser" in getattr(item, "fixturenames", ()):
         item.add_marker(pytest.mark.rest)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave one in so many cases of a crossed test to the run of each change, and the others to the night.
+
+    ``@pytest.mark.crossed(3)`` keeps every third case of those that are not slow anyway. Which one is first differs from test to test, so
+    that over a file of such tests each plant and each method is met.
+    """
+    crossed: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("crossed") and not any(item.iter_markers("slow")):
+            crossed.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for name, cases in crossed.items():
+        (step,) = cases[0].get_closest_marker("crossed").args  # type: ignore[union-attr]
+        first = zlib.crc32(name.encode()) % min(step, len(cases))
+        for k, item in enumerate(cases):
+            if (k - first) % step:
+                item.add_marker(pytest.mark.slow)
 
 
 # Tests of a run from which it is a whole one: nobody waits for imports that a single test does not need.

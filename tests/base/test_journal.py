@@ -129,7 +129,7 @@ class Doubling:
         return outcome
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_results_of_workers_are_noted_as_they_come(tmp_path):
     path = tmp_path / "journal.jsonl"

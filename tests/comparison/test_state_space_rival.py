@@ -85,6 +85,7 @@ def test_one_input_and_output_have_none():
     assert "subspace" not in {m.name for m in models}
 
 
+@pytest.mark.slow
 def test_a_record_too_short_for_it_is_a_note():
     record, _ = coupled_masses(0, rows=60)
     models, findings = fit_black_boxes([record], ["y1", "y2"], ["F1", "F2"], policy=SMALL)

@@ -62,6 +62,7 @@ OPEN = {
 }
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("name", OPEN)
 def test_an_input_that_was_chosen_beforehand_follows_nothing(name):
     for seed in range(10):

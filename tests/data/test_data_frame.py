@@ -130,6 +130,7 @@ FORMS = {
 }
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("form", FORMS)
 def test_every_verb_reads_a_table_as_a_file(frame, form):
     record = gb.read_csv(frame, lag)

@@ -385,6 +385,7 @@ def test_time_printed_to_nearly_half_a_step_is_uniform_and_noted():
         assert find_sampling_time(np.delete(time, row)) is None
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("step", [2.23, 2.5, 3.7, 7.3])
 @pytest.mark.parametrize("rows", [10, 11, 40])
 def test_a_missing_row_never_hides_behind_rounding(step, rows):

@@ -89,6 +89,7 @@ DRIVES = {
 }
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("drive", DRIVES.values(), ids=DRIVES)
 @pytest.mark.parametrize(("noise", "digit"), NOISES)
 def test_an_experiment_that_was_repeated_is_another_measurement(noise, digit, drive):

@@ -214,6 +214,7 @@ def codes(record: gb.Experiment) -> dict[str, dict]:
     return {str(f.code): dict(f.values) for f in record.findings}
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("kind", WRITERS)
 def test_two_rates_and_two_clocks_become_one_record(files: Callable[[str], Path], kind: str) -> None:
     record = gb.read_csv(files(kind), LAG_MODEL, columns=WRITERS[kind][2])
@@ -242,6 +243,7 @@ def test_a_fit_of_the_joined_record_returns_the_constant(files: Callable[[str], 
     assert fit.parameters["T"].value == pytest.approx(LAG, rel=2e-3)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("kind", WRITERS)
 def test_a_file_is_looked_at_without_a_model(files: Callable[[str], Path], kind: str) -> None:
     survey = survey_file(files(kind))
@@ -434,6 +436,7 @@ def _two_clocks(seed: int, kind: str, drift: float) -> tuple[float, float, float
     return offset.offset - right, offset.std, offset.drift, float(np.abs(offset.correct(second) - truth).max())
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(
     "kind", ["trigger", "pulses of whole samples", "pulses of one length", "behind a filter", "shared"]
 )

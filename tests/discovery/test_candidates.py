@@ -148,6 +148,7 @@ def rooms(count):
     )
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize(
     ("model", "tried", "taken", "as_others"),

@@ -73,6 +73,7 @@ def test_a_candidate_is_validated_from_the_initial_states_that_it_ended_with():
     assert baseline.traces[0].initial_state["x"] == pytest.approx(2.0, rel=1e-6)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(
     ("name", "variable"),
     [("cubic_stiffness", "x"), ("cubic_damping", "v"), ("coulomb_friction", "v"), ("viscoelastic_creep", "")],

@@ -65,6 +65,7 @@ def test_dry_friction_of_a_free_swing_is_found_from_its_neutral_value(record):
     assert found.misfit["q"].rmse == pytest.approx(NOISE, rel=0.1)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize(
     "name",
@@ -217,6 +218,7 @@ def heated(zero: float, power: float = 150.0) -> gb.Experiment:
     return gb.Experiment.from_arrays(time, inputs, {"T": reading}, name="oven", hold="zero")
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(
     ("effect", "known"),
     [
@@ -234,6 +236,7 @@ def test_a_constant_that_somebody_fixed_stays_where_no_record_would_put_it(effec
     assert not [f for f in fitted.findings if f.code == "constant_by_record"]
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(("zero", "power"), [(0.0, 150.0), (ZERO_CELSIUS, 150.0), (ZERO_CELSIUS, 1200.0)])
 def test_the_zero_of_a_temperature_scale_is_told_by_its_coldest_readings_and_said(zero, power):
     fitted = gb.fit(oven() + gb.effect("radiation_loss"), heated(zero, power))

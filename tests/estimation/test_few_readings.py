@@ -57,6 +57,7 @@ def test_as_many_unknowns_as_readings_leave_no_interval(rows, fixed):
     assert not [f for f in told.findings if f.code == EstimationCode.NO_FREEDOM]
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("readings", [(35,), (20, 65), (20, 35, 50)])
 def test_a_handful_of_readings_does_not_tell_its_own_noise(readings):
     """Weighed by their residual they would count ever more, until the other constants have no interval."""

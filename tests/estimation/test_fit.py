@@ -210,7 +210,7 @@ def test_gaps_and_irregular_time_do_not_move_the_constants():
     assert found.misfit["x"].samples == np.isfinite(outputs["x"]).sum()
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_first_order_input_is_integrated_as_such():
     truth = micro_actuator.fix("M", "Ra") + effect("cubic_stiffness")
     truth = truth.start(K3=3e11)

@@ -107,6 +107,7 @@ CASES = {
 
 
 # Both kinds of points go one way but for their coefficients: of the second two plants are enough in the run of each change.
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize(
     ("case", "transcription"),
@@ -135,6 +136,7 @@ def test_the_same_fit_by_every_transcription_gives_the_same_constants(case, tran
     assert found.solver.strategy.subject == found.solver.statistics["transcription"]
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("transcription", ["automatic", *ONE_OF_EACH])
 def test_an_unstable_plant_has_traces_and_a_validation_that_follow_the_record(transcription):
     truth = levitation()

@@ -43,6 +43,7 @@ def found_on(path):
     return fit(model, three(**special), **told)
 
 
+@pytest.mark.crossed(3)
 @every_path
 def test_constants_and_first_states_come_back(path):
     found = found_on(path)
@@ -71,6 +72,7 @@ def test_gaps_and_irregular_time_are_the_same_to_it(path):
     assert one.misfit["x"].samples == other.misfit["x"].samples == np.isfinite(with_gaps(data).outputs["x"]).sum()
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize("path", ["free run", "known process noise", "huber"])
 def test_constants_of_each_experiment_are_those_of_a_fit_of_it_alone(path):
@@ -85,8 +87,11 @@ def test_constants_of_each_experiment_are_those_of_a_fit_of_it_alone(path):
             assert mine.std == pytest.approx(alone.parameters[name].std, rel=0.1)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
-@every_path
+@pytest.mark.parametrize(
+    "path", [pytest.param(p, marks=[pytest.mark.slow] * p.endswith("process noise")) for p in PATHS]
+)
 def test_profile_and_bootstrap_meet_the_interval(path):
     found = found_on(path)
     again = bootstrap(found, np.random.default_rng(1), replicates=200)
@@ -109,6 +114,7 @@ def test_the_residual_is_tested(path):
     assert sum(t.alarm for t in found.tests if t.kind != "whiteness") <= 1
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize("path", ["free run", "known process noise", "huber", "sandwich", "multiple shooting"])
 def test_free_run_and_prediction_are_scored_side_by_side(path):
@@ -128,6 +134,7 @@ def test_what_can_be_expected_is_what_a_fit_gives():
             assert expected[name].std == pytest.approx(stated.std, rel=0.1)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("path", ["free run", "known process noise", "estimated process noise"])
 def test_a_constant_that_differs_between_such_experiments_is_named(path):
     """The spring of the second day is stiffer by a tenth, or by a quarter where chance hides more."""
@@ -148,6 +155,7 @@ def dead(rows):
     return replace(data, outputs={**data.outputs, "v": np.full(rows, 3.0)})
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("path", ["noise from differences", "huber", "estimated process noise"])
 @pytest.mark.parametrize("rows", [15, 240])
 def test_a_dead_sensor_beside_a_moving_one_counts_for_nothing(path, rows):

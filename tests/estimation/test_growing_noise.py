@@ -72,7 +72,13 @@ def test_estimated_parts_are_the_most_likely_ones() -> None:
 @pytest.mark.rest
 @pytest.mark.parametrize(
     ("told", "unknown"),
-    [(GrowingNoise(floor=0.02), "share"), (GrowingNoise(share=0.1), "floor"), (GrowingNoise(0.0), "share")],
+    [
+        (GrowingNoise(floor=0.02), "share"),
+        *(
+            pytest.param(*c, marks=pytest.mark.slow)
+            for c in ((GrowingNoise(share=0.1), "floor"), (GrowingNoise(0.0), "share"))
+        ),
+    ],
 )
 def test_what_is_told_stays_and_the_rest_is_estimated(told: GrowingNoise, unknown: str) -> None:
     floor = told.floor if told.floor is not None else 0.02

@@ -282,6 +282,7 @@ def tanks_record(seed, rows=512, step=4.0, noise=0.02):
     return Experiment(name="tanks", time=step * np.arange(rows), inputs={"u": u}, outputs={"y": y})
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("other_starts", [0, 6])
 def test_a_fit_that_begins_at_the_true_constants_ends_there(seed, other_starts):

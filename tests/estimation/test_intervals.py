@@ -269,7 +269,7 @@ def test_constant_constants_raise_no_alarm(rho):
     assert sum(alarms) <= 3
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_emps_intervals_admit_both_estimators_and_the_alias_is_raised(shared_data):
     rubbing = emps + gb.effect("coulomb_friction") + gb.effect("constant_load")
     found = fit(rubbing, gb.read_csv(shared_data / "emps" / "train.csv", rubbing))

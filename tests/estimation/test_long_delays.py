@@ -36,6 +36,7 @@ DELAYS, NOISES = (16.3, 17.0, 30.7, 59.4), ((0.02, 0.005), (0.1, 0.02), (0.3, 0.
 PAIRS = ((16.3, 0.02), (17.0, 0.1), (30.7, 0.1), (59.4, 0.1), (59.4, 0.3))
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(
     ("delay", "step", "noise"),
     [

@@ -127,7 +127,7 @@ def test_black_boxes_are_fitted_in_blocks(record, fit_black_box):
     assert measure_peak(lambda: fit_black_box(record)) < 1.5 * 3 * NUMBER * ROWS + 1e7
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_long_lists_of_a_result_file_are_read_without_their_text(tmp_path):
     rows = ROWS // 2
     path = gb.fit(lag(), lag_record(rows, 1), noise={"x": 1e-3}).save(tmp_path / "fit.json")

@@ -173,6 +173,7 @@ def reactions_record(hours, spread):
 SIX_ROWS = np.array([0.0, 0.5, 1.0, 2.0, 4.0, 8.0])
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("second", [1e-6, 90.0])
 @pytest.mark.parametrize("first", [1e-8, 1e-6, 1e-3, 90.0])
 def test_constants_far_from_the_scales_of_the_record_are_drawn_where_it_shows_them(first, second):
@@ -383,10 +384,10 @@ def lag_model():
 @pytest.mark.parametrize(
     "effects",
     [
-        {"drive_lag": {"tau_u": 0.07}},
-        {"sensor_lag": {"tau_s": 0.06}},
+        pytest.param({"drive_lag": {"tau_u": 0.07}}, marks=pytest.mark.slow),
+        pytest.param({"sensor_lag": {"tau_s": 0.06}}, marks=pytest.mark.slow),
         {"input_offset": {"u0": 0.8}},
-        {"input_dead_zone": {"d": 1.2}, "drive_lag": {"tau_u": 0.05}},
+        pytest.param({"input_dead_zone": {"d": 1.2}, "drive_lag": {"tau_u": 0.05}}, marks=pytest.mark.slow),
         {"gain_by_sign": {"g": -0.2}, "sensor_lag": {"tau_s": 0.05}},
     ],
     ids="+".join,

@@ -101,6 +101,7 @@ def check_no_worse(model, record, **options):
     return found
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize("name", QUICK)
 def test_a_fit_begun_at_the_true_constants_stays_as_good(name):
@@ -187,6 +188,7 @@ def test_a_free_run_that_follows_takes_the_place_of_segments_where_a_model_is_st
     assert problem.squares({n: found.parameters[n].value for n in problem.names}) < problem.squares({})
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("delay", [0.5, 0.41, 0.3, 0.6])
 def test_periods_that_show_how_a_record_began_are_no_noise(delay):
     """Two periods that differ by a transient: an autoregression of that, in place of noise, hid three hundred times the noise."""
@@ -198,6 +200,7 @@ def test_periods_that_show_how_a_record_began_are_no_noise(delay):
         assert abs(found.parameters[name].value - true) < 4 * found.parameters[name].std
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("start", [{}, {"k": 1.5}, {"b": 20.0, "k": 40.0}], ids=["true", "near", "far"])
 @pytest.mark.parametrize("name", ["hardening", "two wells"])
 def test_a_fit_with_process_noise_is_as_likely_as_its_start_at_least(name, start):
@@ -211,6 +214,7 @@ def test_a_fit_with_process_noise_is_as_likely_as_its_start_at_least(name, start
     assert found.prediction.log_likelihood >= began.prediction.log_likelihood - 0.05
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(
     "name", ["HIRES", "Robertson", "cell cycle", "nitrile", pytest.param("Oregonator", marks=pytest.mark.slow)]
 )
@@ -294,7 +298,7 @@ def rotifers():
     )
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_start_that_explicit_steps_do_not_run_is_searched_from_by_others():
     """Errors grow there, and segments had no start."""
     problem = rotifers()
@@ -329,6 +333,7 @@ def test_steps_that_follow_the_error_end_where_they_run_away():
     assert time.perf_counter() - began < 20.0
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("transcription", ["automatic", "single", "multiple"])
 @pytest.mark.parametrize("factor", [0.3, 1.0, 2.0])
 def test_growth_that_is_the_plants_own_is_no_chaos(transcription, factor):

@@ -45,6 +45,7 @@ def find(fit: gb.Fit) -> list:
     return [f for f in fit.findings if f.code in CODES]
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("straight", [True, False], ids=["straight", "held"])
 @pytest.mark.parametrize("name", SMOOTH)
 def test_the_records_contradict_a_wrong_course_and_confirm_a_right_one(name: str, straight: bool) -> None:
@@ -146,6 +147,7 @@ def measure_means(name: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndar
     return u.reshape(-1, PARTS).mean(axis=1), y.reshape(-1, PARTS).mean(axis=1), y[PARTS - 1 :: PARTS]
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("name", ["steps", "duty", "clouds", "one step"])
 @pytest.mark.parametrize("all_are", [True, False], ids=["all means", "inputs alone"])
 def test_means_over_the_past_interval_are_recognised(name: str, all_are: bool) -> None:
@@ -196,6 +198,7 @@ def test_of_two_inputs_the_mistaken_one_is_named() -> None:
     assert [q.value for q in placed.parameters.values()] == pytest.approx([q.value for q in right.parameters.values()])
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("kind", ["held", "means", "inputs alone", "gaps", "at rest"])
 def test_what_means_would_gain_is_foretold_without_a_run(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The gain along the run's own way from row to row bounds what the steps with means find, and is small where inputs are held."""

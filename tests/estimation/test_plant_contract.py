@@ -24,6 +24,9 @@ from greybox.estimation.uncertainty import bootstrap, profile
 from greybox.show import text
 from tests.support.plant_cases import CASES, PlantCase
 
+# Seven kinds meet some forty checks: each check meets two or three of them with each change, and all at night.
+pytestmark = pytest.mark.crossed(3)
+
 FITTED: dict[str, tuple[PlantCase, gb.Fit]] = {}
 
 

@@ -81,7 +81,7 @@ def test_a_condition_that_is_nearly_a_constant_of_the_model_is_a_mistake():
         fit(slide(), records, noise={"v": NOISE})
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_equal_values_are_said_to_differ_and_to_follow_a_condition_as_often_as_stated():
     generator, load = np.random.default_rng(5), np.arange(6.0)
     kinds = []

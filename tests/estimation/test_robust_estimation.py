@@ -142,7 +142,7 @@ def test_outliers_that_ruin_least_squares_leave_a_robust_fit_alone(text):
     assert EstimationCode.MISFIT_ABOVE_NOISE in codes(plain.findings)
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_without_outliers_it_costs_a_few_percent():
     """The variance over many records, and the stated one, against theory."""
     theory = {"huber": 0.950, "student": 0.926}

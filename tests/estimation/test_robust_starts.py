@@ -157,6 +157,7 @@ def spoil(record, rig, share, size, *, first=False, seed=3):
     return record.with_outputs(outputs)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("rig", RIGS)
 def test_constants_are_those_without_the_glitches(rig):
     model, record = RIGS[rig][0], make_record(rig)
@@ -173,6 +174,7 @@ def some(*everyday):
     return [pytest.param(rig, marks=[pytest.mark.slow] * (rig not in everyday)) for rig in RIGS]
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("rig", some("motor", "reactor", "limiter"))
 def test_glitches_of_a_counters_full_range_also_in_the_first_row(rig):
     """10,000 times the noise, as a counter that reads 65535: the free run begins at one."""
@@ -200,6 +202,7 @@ def spoil_in_bursts(record, rig, share, size, *, one_sided, seed=3):
     return record.with_outputs(outputs)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("rig", some("tanks", "spring", "block"))
 def test_bursts_do_not_pull_together(rig):
     model, record = RIGS[rig][0], make_record(rig)

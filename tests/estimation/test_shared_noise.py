@@ -62,6 +62,7 @@ def test_a_copy_is_known_by_its_noise(copy):
     assert "cannot validate" in str(judged)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("count", [1, 4, 12])
 @pytest.mark.parametrize("cube", [0.0, 0.05, 0.5], ids=["noise", "incomplete", "wrong"])
 def test_single_glitches_make_no_copy(cube, count):

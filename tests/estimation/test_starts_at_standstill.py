@@ -57,6 +57,7 @@ def test_a_search_that_stands_at_the_standstill_is_no_success(records):
     assert not found.success or found.misfit["th"].noise_ratio < 1.1
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("start", [{"Fc": 0.01}, {"b": 1e-3, "Fc": 0.02}, {}], ids=["near", "braked", "not begun"])
 def test_the_search_finds_the_motion_that_a_record_begins_in(records, start):
     found = fit(drive().start(**start), records, noise={"th": NOISE}, options=FitOptions(other_starts=0))
@@ -111,6 +112,7 @@ def test_the_first_guess_of_a_velocity_that_no_reading_tells_is_that_of_the_moti
     assert problem.variables.initial.guess[0, 0] == pytest.approx(w0, rel=0.1)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("w0", [3.0, -8.0])
 @pytest.mark.parametrize("begin", [{"b": 0.5, "Fc": 0.5}, {"b": 0.5}], ids=["begun", "not begun"])
 def test_a_wheel_that_coasts_ends_at_the_optimum_of_its_closed_form(w0, begin):

@@ -64,12 +64,12 @@ def test_effects_are_measured_on_the_run_that_was_fitted(balanced: gb.Experiment
     assert fresh.scales.displacement == pytest.approx(np.abs(balanced.outputs["q"]).max(), rel=0.05)
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
         pytest.param(FitOptions(arc_length=0.4), id="arcs"),
-        pytest.param(FitOptions(), marks=pytest.mark.slow, id="automatic"),
+        pytest.param(FitOptions(), id="automatic"),
     ],
 )
 def test_cogging_of_a_pendulum_on_its_tip_is_found(balanced: gb.Experiment, options: FitOptions) -> None:

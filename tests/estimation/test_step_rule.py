@@ -41,6 +41,7 @@ CASES = [
 ]
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(("name", "transcription", "method", "substeps"), CASES)
 def test_steps_that_move_the_constants_are_said(name, transcription, method, substeps):
     """The oracle is a second fit, from the end of the first one, with half its steps."""

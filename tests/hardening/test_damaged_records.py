@@ -336,7 +336,7 @@ def test_pipes_and_devices_are_named_as_such(tmp_path):
     refused(tmp_path / "fifo.csv", mentions="is a pipe or a device")
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of memory of a process, in kilobytes")
 def test_a_large_text_takes_little_memory_beyond_its_columns(tmp_path):
     """300 000 rows of 8 columns, of which 3 are wanted: 7 MB of numbers from 40 MB of text."""

@@ -167,6 +167,7 @@ def _swing(x, u, p):
 SWING = Model("swing", [*BODY.states, State("a", "rad/s^2")], BODY.inputs, BODY.outputs, BODY.parameters, _swing)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(
     ("name", "values"),
     [

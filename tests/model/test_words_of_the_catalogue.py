@@ -27,6 +27,7 @@ def rig(balance="force", drive="F", force="N", mass="kg", speed="m/s"):
     )
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("word", sorted(NEEDED))
 def test_a_balance_or_an_input_may_be_called_like_a_word_of_the_catalogue(word):
     for model in (rig(balance=word), rig(drive=word)):

@@ -70,6 +70,7 @@ def held_piston(model):
     return type(model)("held", model.states, model.inputs, model.outputs, model.parameters, balances)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("piston", PISTONS)
 @pytest.mark.parametrize("chambers", CHAMBERS)
 @pytest.mark.parametrize("valve", VALVES)

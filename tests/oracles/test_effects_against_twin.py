@@ -211,6 +211,7 @@ def test_every_effect_of_both_rigs_is_compared():
             assert set(values) == {q.name for q in effect(name).parameters}
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(("rig", "names"), CASES, ids=lambda v: v if isinstance(v, str) else "+".join(v))
 def test_the_equations_are_those_of_the_independent_simulator(rig, names):
     substeps = max(SUBSTEPS.get(name, 20) for name in names)
@@ -222,6 +223,7 @@ def test_the_equations_are_those_of_the_independent_simulator(rig, names):
 SINGLES = [case for case in CASES if len(case[1]) == 1]
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(("rig", "names"), SINGLES, ids=lambda v: v if isinstance(v, str) else v[0])
 def test_slopes_along_the_parameters_are_those_of_differences(rig, names):
     (name,) = names

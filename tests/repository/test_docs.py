@@ -46,7 +46,7 @@ def hooks():
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("page", QUICK)
+@pytest.mark.parametrize("page", [pytest.param(p, marks=[pytest.mark.slow] * (p == "fleet.md")) for p in QUICK])
 def test_a_page_runs_and_prints_what_it_shows(page: str, tmp_path: Path) -> None:
     run = run_page(DOCS / page, tmp_path)
     assert not run.missing, "\n".join(run.missing)

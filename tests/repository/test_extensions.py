@@ -113,6 +113,7 @@ def listed(beside: Path) -> list[dict]:
     return json.loads(greybox(beside, beside, "extensions", "--json").stdout)["extensions"]
 
 
+@pytest.mark.slow
 def test_what_a_stranger_adds_is_used(beside: Path, tmp_path: Path) -> None:
     rows = [f"{k * 1e-3!r}|{(-1) ** (k // 7) * 0.1!r}|{0.01 * ((k % 14) - 6.5)!r}" for k in range(200)]
     (tmp_path / "run.acme").write_text("\n".join(["time|u|y", *rows]), encoding="utf-8")
@@ -136,6 +137,7 @@ def test_what_a_stranger_adds_is_used(beside: Path, tmp_path: Path) -> None:
     assert greybox(beside, tmp_path, "acme-info", "stage").stdout == "acme stage\n"
 
 
+@pytest.mark.slow
 def test_a_plant_of_strangers_is_fitted_by_its_name(beside: Path, tmp_path: Path) -> None:
     area, hole, level, rows = 0.8, 0.004, 1.0, []
     for k in range(120):

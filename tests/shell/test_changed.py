@@ -104,6 +104,7 @@ def test_bad_input_is_one_sentence_and_exit_code_two(folder: Path, arguments: li
     assert not list(Path().iterdir())
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize("layout", [["--column", "u=1", "--column", "y=Reading"], ["--columns", "t,u,y"]])
 @pytest.mark.parametrize("command", ["changed", "design", "fleet"])

@@ -168,7 +168,7 @@ def test_several_validation_records_are_judged_one_by_one(run: Run, data: Path, 
     assert saved.validation.misfit["x"].noise_ratio == pytest.approx(pooled, rel=5e-3)  # three digits are printed
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_an_output_that_only_a_validation_record_has_is_drawn(run: Run, data: Path, tmp_path: Path) -> None:
     rows = [line.rpartition(",")[0] for line in (data / "train.csv").read_text().splitlines()]
     (tmp_path / "x.csv").write_text("\n".join(rows))

@@ -79,11 +79,12 @@ def run(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
             ["K (gaps): ", "K (irregular): ", "profile likelihood", "block bootstrap, 200 replicates"],
         ),
         ("gaps irregular", "--tie B=0.2*sqrt(K*M) --schedule K=M@1 --condition M=1,1", set(), ["0.2*sqrt(K*M)"]),
-        (
+        pytest.param(
             "pushed",
             "--process-noise v --predict 5 --profile K,noise_v",
             {EstimationCode.PROCESS_NOISE_SIGNIFICANT},
             ["5 steps ahead", "K: 4.", "noise_v: 0.", "profile likelihood"],
+            marks=pytest.mark.slow,
         ),
     ],
 )

@@ -184,7 +184,12 @@ def test_a_study_of_another_project_runs_nothing_of_it(trap: Path):
 
 @pytest.mark.rest
 @pytest.mark.parametrize(
-    "line", ["greybox fit ", "greybox fit rig --fix ", "greybox fit models/rig.py --fix k", "greybox models "]
+    "line",
+    [
+        *(pytest.param(line, marks=pytest.mark.slow) for line in ("greybox fit ", "greybox models ")),
+        "greybox fit rig --fix ",
+        "greybox fit models/rig.py --fix k",
+    ],
 )
 def test_the_shell_runs_nothing_to_offer_words(trap: Path, line: str):
     (trap.parent / "models").mkdir()

@@ -34,7 +34,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "train.csv"
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_many_starts_print_and_save_where_each_ended(run: Run, data: Path, tmp_path: Path) -> None:
     result = run("fit", "micro_actuator", data, *KNOWN, "--starts", 4, "--seed", 3, "--output", "out", "--no-report")
     assert result.exit_code == 0, result.output
@@ -90,7 +90,7 @@ def test_bad_choices_end_with_2_and_nothing_is_written(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_discovery_keeps_ties_and_counts_priors(run: Run, data: Path, tmp_path: Path) -> None:
     options = [*KNOWN, "--tie", "Kv=Kf", "--prior", "B=20+-1e-5", "--effects", "input_offset", "--no-report"]
     # A model that misses by far is searched for long: short records will do.

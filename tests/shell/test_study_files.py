@@ -63,7 +63,9 @@ EVERYTHING = {
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("case", EVERYTHING)
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, marks=[pytest.mark.slow] * (c in ("process noise", "discover"))) for c in EVERYTHING]
+)
 def test_a_study_file_repeats_the_options_to_the_last_bit(run: Run, data: Path, tmp_path: Path, case: str) -> None:
     file, line = EVERYTHING[case]
     command = case if case in COMMANDS else "fit"

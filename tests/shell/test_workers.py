@@ -173,7 +173,14 @@ def without_times(data):
 
 @pytest.mark.rest
 @pytest.mark.skipif(sys.platform == "win32", reason="signals as POSIX has them")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "number",
+    [
+        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
+        signal.SIGINT,
+        pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
+    ],
+)
 def test_a_request_to_end_keeps_what_is_finished_and_the_same_command_goes_on(record, tmp_path, number):
     out = tmp_path / "out"
     # Far more starts than are searched from before the signal comes.
@@ -211,7 +218,7 @@ def test_too_little_memory_is_told(capsys):
 
 @pytest.mark.rest
 @pytest.mark.parametrize(
-    "encoding", ["ascii", *(pytest.param(e, marks=pytest.mark.slow) for e in ("cp1252", "latin-1")), "utf-8"]
+    "encoding", ["ascii", *(pytest.param(e, marks=pytest.mark.slow) for e in ("cp1252", "latin-1", "utf-8"))]
 )
 def test_names_that_the_terminal_does_not_know_are_no_traceback(record, tmp_path, encoding):
     folder = tmp_path / "ünï名"
@@ -238,7 +245,7 @@ def test_names_that_the_terminal_does_not_know_are_no_traceback(record, tmp_path
     assert (folder / "a.csv").exists()
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="file names of any bytes")
 def test_a_file_name_that_is_no_text_is_no_traceback(tmp_path):
     name = os.fsdecode(os.fsencode(tmp_path) + b"/odd\xff\xfe")
@@ -252,6 +259,7 @@ def test_a_file_name_that_is_no_text_is_no_traceback(tmp_path):
     assert b"Traceback" not in done.stderr, done.stderr.decode()
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.skipif(sys.platform == "win32", reason="closed streams as POSIX has them")
 @pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-", ">/dev/full", "2>/dev/full"])

@@ -171,7 +171,7 @@ def test_a_local_cluster_of_two_processes_survives_the_death_of_one(tmp_path):
     assert not {os.getpid(), *killed} & {r.value[1] for r in results} and len(killed) == 1
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 @needs_dask
 def test_a_model_is_fitted_on_a_cluster_as_here(tmp_path):
     model = lag()

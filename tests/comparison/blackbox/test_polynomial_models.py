@@ -161,6 +161,7 @@ def test_the_unknown_past_is_estimated_with_the_rest():
         assert run == pytest.approx(y[60:], abs=1e-7)  # the gap too, and the state before the first row
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("kind", ["arx", "armax", "output error"])
 def test_estimates_scatter_as_they_say(kind):
     normalised = []

@@ -63,6 +63,7 @@ def test_order_and_poles_of_exact_records(name, weight):
     np.testing.assert_allclose(model.offset - at_zero, 3.0, atol=1e-6)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize("name", PLANTS)
 def test_noisy_records_give_a_model_that_predicts_and_runs(name):

@@ -48,6 +48,7 @@ METHODS = {
 }
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("method", METHODS.values(), ids=list(METHODS))
 def test_a_model_is_the_same_in_any_units_and_anywhere(method):
     def errors(factors):

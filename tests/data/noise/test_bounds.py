@@ -68,6 +68,7 @@ def coloured(rng, rho, rows=ROWS):
     return lfilter([1.0], [1.0, -rho], rng.normal(size=rows + 500) * np.sqrt(1 - rho**2))[500:]
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("rho", [0.0, 0.7, 0.95])
 @pytest.mark.parametrize("share", [1e-2, 1e-4])
 @pytest.mark.parametrize("kind", SIGNALS)
@@ -165,6 +166,7 @@ def filtered_noise(name, rng, rows=ROWS):
     return noise / noise.std()
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("digits", [None, 4])
 @pytest.mark.parametrize("filter_name", FILTERS)
 @pytest.mark.parametrize("kind", ["slow multisine", "steps"])
@@ -306,6 +308,7 @@ def test_a_hysteresis_without_noise_is_not_called_noise():
     assert level.is_filtered and level.most < linear_misfit
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(
     ("file", "inputs", "output", "low", "high"),
     [

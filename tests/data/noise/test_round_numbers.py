@@ -47,6 +47,7 @@ def reading(name, rows=800):
     return u, level + movement * x / np.std(x) + noise * rng.normal(size=rows)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("written", [False, True], ids=["as measured", "as written"])
 @pytest.mark.parametrize("name", EVERYDAY)
 def test_the_noise_about_a_round_number_is_that_of_the_sensor(name, written):

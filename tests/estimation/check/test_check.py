@@ -60,6 +60,7 @@ def test_the_expected_standard_deviation_is_what_a_fit_gives() -> None:
         assert constant.std == pytest.approx(found[name].std, rel=0.1), name
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize("model", [cascaded_tanks, emps, pneumatic_cylinder, silverbox], ids=lambda m: m.name)
 def test_every_other_plant_is_determined_as_it_is_stated(model: Model) -> None:

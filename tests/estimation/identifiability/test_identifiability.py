@@ -63,6 +63,7 @@ def test_the_slowest_motion_is_the_one_that_takes_longest(damping):
     assert fastest_and_slowest_rate(two_modes(damping)) == pytest.approx((10.0, 1.0))
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(
     ("model", "outputs", "rank", "count"),
     [
@@ -94,6 +95,7 @@ def test_known_ranks(model: Model, outputs: list[str] | None, rank: int, count: 
     assert found.complete == (rank == count)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_other_random_points_say_the_same(seed: int) -> None:
@@ -164,6 +166,7 @@ def test_each_constant_that_is_proposed_closes_the_gap(name: str) -> None:
     assert analyse_structural_identifiability(micro_actuator.fix(name)).complete
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize(
     ("model", "outputs"),
@@ -257,6 +260,7 @@ def test_a_constant_without_influence_is_named() -> None:
     assert found.determined == ("c",)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize(
     ("name", "count"), [("bouc_wen_hysteresis", 5), ("input_saturation", 3), ("coulomb_friction", 3), ("backlash", 3)]
@@ -472,6 +476,7 @@ def actuator_record(rows):
 ACTUATOR_NOISE = {"x": 2e-7, "i": 5e-3}
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize(("capacity", "at_rest"), [(3600.0, False), (50.0, False), (50.0, True)])
 def test_a_curve_over_a_state_that_moves_slowly_is_seen_where_the_state_goes(capacity, at_rest):

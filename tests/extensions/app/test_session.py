@@ -175,7 +175,7 @@ def test_a_fit_gives_the_rig_s_constants_and_its_exports_repeat_it(
     assert {n: p["value"] for n, p in again["parameters"].items()} == {n: e.value for n, e in fit.parameters.items()}
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_stopped_discovery_changes_nothing_and_keeps_its_refits(bench: Workbench, tmp_path: Path) -> None:
     news: list[str] = []
     journal = tmp_path / "out" / "journal.jsonl"
@@ -220,7 +220,7 @@ def test_a_fit_that_is_stopped_keeps_its_best_point(bench: Workbench) -> None:
     assert fit.status == "interrupted" and fit.parameters["B"].value > 0 and told[0][0] == "progress"
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_what_goes_wrong_in_a_computation_is_told_and_the_next_one_can_begin(bench: Workbench) -> None:
     told: list[dict] = []
     bench.listener = told.append
@@ -261,7 +261,7 @@ def test_a_model_that_its_effects_do_not_name_goes_with_its_study(bench: Workben
 @pytest.mark.parametrize(
     "options",
     [
-        {"process_noise": {"v": None}},
+        pytest.param({"process_noise": {"v": None}}, marks=pytest.mark.slow),
         {"loss": "huber"},
         pytest.param({"priors": {"B": (2.0, 0.1)}}, marks=pytest.mark.slow),
     ],

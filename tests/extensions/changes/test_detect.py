@@ -67,7 +67,7 @@ def test_records_that_hardly_move_the_machine_cannot_tell(reference) -> None:
     assert {f.subject for f in change.findings if f.code == ChangeCode.CONSTANT_NOT_SEEN} >= {"d", "b"}
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_an_effect_that_has_appeared_is_found(reference) -> None:
     plant = silverbox + effect("cubic_stiffness")
     (name,) = (n for n in plant.values if n not in silverbox.values)
@@ -134,7 +134,7 @@ def test_under_the_same_input_what_the_model_lacks_cancels() -> None:
     assert 0 < low < 45.0 - silverbox.values["d"] < high < 4.0
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_under_another_input_such_a_model_cannot_tell_a_change_but_a_large_one() -> None:
     reference = gb.fit(silverbox, stiffening(1, 9), noise=NOISE)
     for seed in range(10, 13):

@@ -46,6 +46,7 @@ def test_an_estimate_that_leaves_a_constant_open_says_nothing_of_it() -> None:
     assert np.isinf(one.covariance[1, 1])
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(("degrees", "correlation"), [(4, 0.0), (4, 0.95), (7, 0.7)])
 def test_each_constant_is_held_against_its_own_scatter(degrees: int, correlation: float) -> None:
     # Three constants that go together, scattered about as much as ``degrees`` repeats have shown for each: independent draws by SciPy.

@@ -156,6 +156,7 @@ def test_it_goes_on_where_it_was_stopped(tmp_path) -> None:
             run_campaign(replace(PLAN, model=edited), tmp_path)
 
 
+@pytest.mark.slow
 def test_the_plain_model_is_left_only_after_a_record_that_looks_for_what_hides(tmp_path) -> None:
     plain = run_campaign(PLAN, tmp_path, rig=rig("plain"), workers=1)
     assert plain.status is CampaignStatus.DONE and plain.steps[-1].verdict == "complete"

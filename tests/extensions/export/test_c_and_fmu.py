@@ -169,6 +169,7 @@ def compare(found, run, tolerance=1e-12):
         np.testing.assert_allclose(found[:, j], values, atol=tolerance * np.abs(values).max(), rtol=0)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(("base", "entry"), CASES)
 def test_c_is_the_library_step_for_every_effect(tmp_path, base, entry):
     model = with_effect(base, entry)
@@ -179,6 +180,7 @@ def test_c_is_the_library_step_for_every_effect(tmp_path, base, entry):
     compare(found, run)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize(("base", "names"), TOGETHER)
 def test_c_is_the_library_step_for_effects_together(tmp_path, base, names):
@@ -265,6 +267,7 @@ def lags(title, names):
     )
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize(
     "model", [lags("lag", TAKEN_NAMES), *(lags(name, ["y"]) for name in TAKEN_NAMES)], ids=lambda m: m.title
 )
@@ -312,6 +315,7 @@ def fmu(tmp_path_factory):
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("lugre_friction", "sensor_lag")]
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("name", ["", "stribeck_friction", "transport_delay", "backlash", *SLOW])
 def test_the_fmu_runs_as_the_library(tmp_path, fmu, name):
     from fmpy.validation import validate_fmu

@@ -115,6 +115,7 @@ def read_plain(plain, tmp_path_factory) -> Callable:
     return cache(lambda read: read(plain, tmp_path_factory.mktemp("plain")))
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.skipif(CC is None, reason="no C compiler to look with")
 @pytest.mark.parametrize("text", TEXTS)
 def test_c_defines_what_it_defines_without_the_text(plain, read_plain, tmp_path, text):
@@ -133,6 +134,7 @@ def test_modelica_is_read_by_another_program(plain, tmp_path, text):
     assert "micro_actuator" in tree.classes and "hurt" not in tree.classes
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("text", TEXTS)
 def test_python_files_import_and_run_nothing_of_the_text(plain, tmp_path, text):
     fit = carry(plain, text)
@@ -155,6 +157,7 @@ def test_python_files_import_and_run_nothing_of_the_text(plain, tmp_path, text):
         subprocess.run([sys.executable, "-X", "utf8", "-c", look], env=environment, check=True)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("text", TEXTS)
 def test_the_description_of_an_fmu_is_xml_with_the_same_elements(plain, read_plain, tmp_path, text):
     assert read_description(carry(plain, text), tmp_path) == read_plain(read_description)
@@ -165,12 +168,14 @@ def observe(fit: Fit) -> gb.export.Observer:
     return gb.export.design_observer(fit, noise={"x": 2e-7, "i": 5e-3}, process_noise={"v": 1e-3})
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.skipif(CC is None, reason="no C compiler to look with")
 @pytest.mark.parametrize("text", TEXTS)
 def test_the_c_of_an_observer_defines_what_it_defines_without_the_text(plain, read_plain, tmp_path, text):
     assert read_observer_c(carry(plain, text), tmp_path) == read_plain(read_observer_c)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("text", TEXTS)
 def test_the_class_of_an_observer_imports_and_runs_nothing_of_the_text(plain, read_plain, tmp_path, text):
     assert read_observer_class(carry(plain, text), tmp_path) == read_plain(read_observer_class)
@@ -181,6 +186,7 @@ def test_the_description_of_an_observer_is_xml_with_the_same_elements(plain, rea
     assert read_observer_description(carry(plain, text), tmp_path) == read_plain(read_observer_description)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("kind", ["mat", "json", "numpy"])
 @pytest.mark.parametrize("text", TEXTS)
 def test_matrices_are_written_with_any_text(plain, tmp_path, kind, text):

@@ -13,6 +13,7 @@ from tests.estimation.test_prediction_steps import QUENCH, VALVE
 pytestmark = pytest.mark.rest
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("model", [VALVE, QUENCH, VALVE.start(k=0.3)])
 def test_a_step_that_runs_away_is_refused(model, tmp_path):
     with pytest.raises(ModelError, match=r"overflows after 0\.[12] s, where shorter steps go on"):

@@ -355,7 +355,14 @@ class ProcessEnds(BaseException):
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("place", [0, 3, 6], ids=["the first", "among the first five", "in a small fleet"])
+@pytest.mark.parametrize(
+    "place",
+    [
+        pytest.param(0, marks=pytest.mark.slow, id="the first"),
+        pytest.param(3, marks=pytest.mark.slow, id="among the first five"),
+        pytest.param(6, id="in a small fleet"),
+    ],
+)
 def test_a_record_that_ended_the_process_is_tried_apart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: int
 ) -> None:
@@ -448,6 +455,7 @@ def test_one_measurement_that_is_in_a_fleet_twice_is_named(copy: str) -> None:
     assert "counts it twice" in str(finding)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("told", [{}, {"hold": "zero"}, {"interpolation": {"u": "zero"}}])
 def test_an_input_moves_in_one_way_in_all_files_of_a_fleet(tmp_path: Path, told: dict) -> None:
     """Every other record is too short and noisy for its rows to show what the others show."""

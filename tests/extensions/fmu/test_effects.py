@@ -146,7 +146,7 @@ def test_an_effect_with_memory_is_fitted_within_its_intervals(plants, name, cons
             assert abs(result.parameters[known].value - true) < 3 * result.parameters[known].std
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_discovery_names_the_effect(fitted, records):
     """As any discovery: one value, one text, one file; its places are the ports of the FMU, its fits those of the FMU."""
     names = ("input_dead_zone", "input_offset", "sensor_lag")

@@ -69,6 +69,7 @@ def test_an_fmu_runs_as_its_equations(build, version, kind):
             np.testing.assert_allclose(run["x0"], van_der_pol(mu)[0], atol=2e-6)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("is_even", [True, False], ids=["even", "uneven"])
 @pytest.mark.parametrize(("version", "kind"), KINDS)
 def test_inputs_run_straight_or_are_held_as_the_record_says(build, version, kind, is_even):

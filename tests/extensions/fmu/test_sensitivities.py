@@ -44,6 +44,7 @@ def test_slopes_are_those_of_the_variational_equations(tmp_path, version):
     np.testing.assert_allclose(slopes[:, :, 0], exact.T, atol=1e-4 * np.abs(exact).max())
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize("hold", ["zero", "first"])
 def test_inputs_act_as_they_are_held(tmp_path, version, hold):

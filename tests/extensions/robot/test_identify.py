@@ -65,7 +65,7 @@ def test_nothing_is_said_of_a_complete_description(arm: gb.robots.Robot) -> None
         assert complete.effects == () and complete.payload is None and complete.verdict is RigidVerdict.AS_DESCRIBED
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_intervals_hold_the_constants_of_the_textbook(arm: gb.robots.Robot) -> None:
     inside = []
     for seed in range(12):

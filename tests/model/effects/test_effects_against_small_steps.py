@@ -138,6 +138,7 @@ CASES = {
 TOLERANCE = {"load_dependent_friction": 3e-3, "asymmetric_friction": 3e-3}
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("name", CASES)
 def test_an_effect_moves_a_body_as_small_steps_do(name):
     values, hand = CASES[name]

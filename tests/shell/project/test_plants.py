@@ -55,6 +55,7 @@ def run(*words: str) -> str:
     return done.output
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 def test_the_twin_hides_an_effect_from_the_model(plant: str) -> None:
     shorten_records(500)

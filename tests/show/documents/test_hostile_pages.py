@@ -90,6 +90,7 @@ def pages(tmp_path_factory) -> dict[str, Document]:
 BY_DAY = ("comparison", "discovery", "fit")
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind not in BY_DAY)) for kind in KINDS]
@@ -153,6 +154,7 @@ def test_a_formula_is_mathml_or_its_text(text):
         }
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("text", [*MARKUP, *CODE[:7], "<", "p<p0", "名", "a b"])
 def test_a_term_of_any_name_is_typeset(text):
     def balances(x, u, p):

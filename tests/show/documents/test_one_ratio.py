@@ -122,6 +122,7 @@ def fits(tmp_path_factory: pytest.TempPathFactory) -> Fits:
     return Fits(tmp_path_factory.mktemp("fits"))
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("kind", KINDS)
 def test_one_ratio_is_told_everywhere_to_its_last_digit(kind: str, fits: dict[str, tuple[gb.Fit, Path]]) -> None:
     fit, file = fits[kind]

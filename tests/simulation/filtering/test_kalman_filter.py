@@ -136,6 +136,7 @@ def test_without_process_noise_the_filter_runs_freely():
         assert outputs == pytest.approx(predict_outputs(kalman, rows, pn, START, 50), rel=1e-9)
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("method", ["exact", "rk4"])
 @pytest.mark.parametrize("kind", ["held", "linear", "gaps"])
 def test_predictions_ahead_are_the_chain_of_one_step_predictions(method, kind):
@@ -211,6 +212,7 @@ def test_the_extended_filter_is_the_textbook_one():
     check_slopes(kalman, rows, pn, np.array([0.4]))
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.parametrize(
     "model",

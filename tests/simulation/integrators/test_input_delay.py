@@ -104,6 +104,7 @@ def test_the_exact_hold_shifts_the_input_exactly(intervals, first_order):
         assert np.all(np.abs(found - exact).max(axis=0) < 1e-7 * np.abs(exact).max(axis=0))
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("first_order", [False, True], ids=["held", "linear"])
 @pytest.mark.parametrize("intervals", DELAYS)
 def test_rk4_keeps_its_order_whatever_the_delay(intervals, first_order):
@@ -122,6 +123,7 @@ def test_rk4_keeps_its_order_whatever_the_delay(intervals, first_order):
     assert np.all(np.abs(path(odd, data, p, np.zeros(3))[1] - exact).max(axis=0) < 1e-6 * np.abs(exact).max(axis=0))
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize(("method", "first_order"), [("exact", False), ("exact", True), ("rk4", False)])
 @pytest.mark.parametrize("intervals", [0.3, 1.7, 3.25])

@@ -114,7 +114,7 @@ def test_the_series_is_taken_where_a_search_takes_less_time(model, rows, h, take
     assert step.label.startswith(taken)
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_fit_ends_at_the_same_constants_with_the_same_intervals():
     trial = make_trial(12, 6000)
     by_series = trial.fit()

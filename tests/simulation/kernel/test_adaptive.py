@@ -164,7 +164,7 @@ def test_the_method_has_order_four_and_its_companion_order_three():
 
 
 @pytest.mark.rest
-@pytest.mark.parametrize("name", ["robertson", pytest.param("valve", marks=pytest.mark.slow), "wall"])
+@pytest.mark.parametrize("name", ["robertson", *(pytest.param(n, marks=pytest.mark.slow) for n in ("valve", "wall"))])
 def test_states_are_those_of_scipy(name):
     kernel, record, p, x0 = run(name)
     _, x = kernel.simulate(record, p[None], p, x0)

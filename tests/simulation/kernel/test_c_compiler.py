@@ -489,6 +489,7 @@ def test_a_compiler_may_take_so_much_memory_and_no_more():
     assert "MemoryError" in outcomes[1].stderr
 
 
+@pytest.mark.crossed(3)
 @pytest.mark.rest
 @pytest.mark.skipif(sys.platform == "win32", reason="a group of processes of POSIX")
 @pytest.mark.parametrize("ending", ["os._exit(0)", "sys.exit(0)", "os.kill(os.getpid(), 9)"])
