@@ -295,6 +295,7 @@ rig = Model("rig", states=[State("x", "m")], inputs=[Input("u", "V")], outputs=[
 """
 
 
+@pytest.mark.rest
 def test_a_study_runs_the_model_file_that_was_named_when_it_was_written(run: Run, data: Path, tmp_path: Path) -> None:
     written = PROGRAM.format("-p.K * x.x")
     for place in ("rig.py", "sub/rig.py:rig", "other.py:rig"):
