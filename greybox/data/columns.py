@@ -218,6 +218,8 @@ def _suggest_number_format(texts: Sequence[str], separator: str) -> str:
         return f"write decimal points{between}{f', and {WITHOUT_MARKS}' if is_marked else ''}"
     if is_marked:
         return f"write {WITHOUT_MARKS}"
+    if first.startswith("="):
+        return "the program that wrote the workbook has not computed its formulas: open and save it in a spreadsheet program"
     if _DATE.search(first):
         return "write every row of a column of dates alike, as in 2024-03-31 13:30:00.25 or 31.03.2024 13:30, or seconds from the start"
     return "correct it, or leave the field empty if nothing was measured"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import datetime
+import math
 import re
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -13,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from greybox.base import DataError, Finding, Severity
-from greybox.data.array_table import ArrayInfo, ArrayTable, describe_cells, read_cells, read_marks
+from greybox.data.array_table import ArrayColumn, ArrayInfo, ArrayTable, describe_cells, read_cells, read_marks
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import (
     THOUSANDS,
@@ -28,7 +31,7 @@ from greybox.data.columns import (
 )
 from greybox.data.file_kinds import FileFormat
 from greybox.data.findings import RecordCode
-from greybox.data.headers import HEADER_LINES, find_table_head, join_units, parse_header
+from greybox.data.headers import HEADER_LINES, find_table_head, is_row_of_units, join_units, parse_header
 from greybox.data.notation import read_conversion
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
@@ -38,37 +41,45 @@ from greybox.data.time_base import Samples
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Headers and columns (N,) of one sheet: numbers, dates, or cells as they are; ``signs``: the decimal signs that its texts show."""
+    """Columns (N,) of one sheet with their ``headers``, of which several may be alike: numbers, dates, or cells as they are; ``signs``:
+    the decimal signs that its texts show."""
 
     name: str
-    columns: Mapping[str, np.ndarray | Stamps]
+    headers: tuple[str, ...]
+    columns: tuple[np.ndarray | Stamps, ...]
     findings: tuple[Finding, ...]
     signs: frozenset[str]
 
     def as_table(self, policy: ReadingPolicy) -> ArrayTable:
         """The sheet as the only one of its file."""
+        # Headers that are alike get a number behind them as names of arrays, and stay as they are as headers.
+        names = [
+            f"{header} ({k + 1})" if header in self.headers[:k] else header for k, header in enumerate(self.headers)
+        ]
+        arrays = dict(zip(names, self.columns, strict=True))
         infos = {
-            header: ArrayInfo((len(cells),), dated=not cells.whole_days if isinstance(cells, Stamps) else None)
-            for header, cells in self.columns.items()
+            name: ArrayInfo((len(cells),), dated=not cells.whole_days if isinstance(cells, Stamps) else None)
+            for name, cells in arrays.items()
         }
         table = ArrayTable.from_infos(
-            infos, lambda names: {name: self.columns[name] for name in names}, policy, self.findings
+            infos, lambda wanted: {name: arrays[name] for name in wanted}, policy, self.findings
         )
-        return replace(table, signs=self.signs)
+        columns = tuple(ArrayColumn(*pair) for pair in zip(names, self.headers, strict=True))
+        return replace(table, columns=columns, signs=self.signs)
 
     @property
-    def clock(self) -> str | None:
-        """Header of the time column: by its name, or by its dates or times of day."""
-        columns = [parse_header(header, k) for k, header in enumerate(self.columns)]
+    def clock(self) -> int | None:
+        """Position of the time column: by its name, or by its dates or times of day."""
+        columns = [parse_header(header, k) for k, header in enumerate(self.headers)]
         times = [column for column in columns if column.is_time]
         times = times or find_dated_time(columns, self.as_table(READING_POLICY))
-        return next((column.header for column in times), None)
+        return next((column.position for column in times), None)
 
     @property
-    def day(self) -> str | None:
-        """Header of the only column of days, which a clock of times of day needs."""
-        days = [h for h, cells in self.columns.items() if isinstance(cells, Stamps) and cells.whole_days]
-        clock = self.columns[str(self.clock)]
+    def day(self) -> int | None:
+        """Position of the only column of days, which a clock of times of day needs."""
+        days = [k for k, cells in enumerate(self.columns) if isinstance(cells, Stamps) and cells.whole_days]
+        clock = None if self.clock is None else self.columns[self.clock]
         return days[0] if len(days) == 1 and isinstance(clock, Stamps) and clock.kind is StampKind.CLOCK else None
 
 
@@ -79,8 +90,9 @@ SHARE_OF_TEXTS = 0.04
 _SHEET_PART = re.compile(rb'PartName="/?([^"]+)"[^>]*worksheet\+xml|worksheet\+xml"[^>]*PartName="/?([^"]+)"')
 
 
-def _check_parts(path: Path, policy: ReadingPolicy) -> None:
-    """Refuse a workbook that unpacks to more than the policy allows; what it unpacks to is known before. Raises DataError."""
+def _check_parts(path: Path, policy: ReadingPolicy) -> bool:
+    """Refuse a workbook that unpacks to more than the policy allows; what it unpacks to is known before. Whether a sheet has formulas.
+    Raises DataError."""
     with zipfile.ZipFile(path) as archive:
         sizes = {member.filename: member.file_size for member in archive.infolist()}
         most = int(SHARE_OF_TEXTS * policy.largest_unpacked)
@@ -105,23 +117,46 @@ def _check_parts(path: Path, policy: ReadingPolicy) -> None:
             f"the workbook holds {named} beside its sheets, at most {most / 1e6:.0f} MB of texts or formats are read; save the needed"
             f" sheet as CSV, or raise the limit {limit}"
         )
+    with zipfile.ZipFile(path) as archive:
+        return any(_holds_formula(archive, name) for name in sheets & sizes.keys())
+
+
+# What begins a formula in a sheet, and bytes of it that are looked at together.
+_FORMULA = re.compile(rb"<(\w+:)?f[\s>/]")
+_BYTES = 1 << 20
+
+
+def _holds_formula(archive: zipfile.ZipFile, name: str) -> bool:
+    with archive.open(name) as part:
+        end = b""
+        while block := part.read(_BYTES):
+            if _FORMULA.search(end + block):
+                return True
+            end = block[-20:]
+    return False
 
 
 def read_excel(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable | ChannelTable:
     """The sheet with numbers; where several have a time column of their own, all of them as channels. Other sheets are not read."""
     from openpyxl import load_workbook
 
-    _check_parts(path, policy)
+    has_formulas = _check_parts(path, policy)
     # Rows as they come, values in the place of formulas.
     book = load_workbook(path, read_only=True, data_only=True)
+    # Without these openpyxl rounds dates and times of day to the millisecond, and takes those of 1904 behind midnight for dates.
+    book._date_formats = book._timedelta_formats = frozenset()
+    written = load_workbook(path, read_only=True) if has_formulas else None
     try:
-        sheets = [sheet for page in book.worksheets if (sheet := _read_sheet(page, policy)) is not None]
+        pages = [(page, None if written is None else written[page.title]) for page in book.worksheets]
+        sheets = [sheet for page in pages if (sheet := _read_sheet(*page, policy)) is not None]
     finally:
         book.close()
+        if written is not None:
+            written.close()
     if not sheets:
         raise DataError("no sheet has a row of headers above rows of numbers; save the record as CSV")
     # Those with a clock, or the first that has numbers.
-    kept = [sheet for sheet in sheets if sheet.clock] or sheets[:1]
+    kept = [sheet for sheet in sheets if sheet.clock is not None] or sheets[:1]
     table = _join_sheets(kept, policy) if len(kept) > 1 else kept[0].as_table(policy)
     about, read = {"read": kept[0].name}, {sheet.name for sheet in kept}
     left = [Finding(RecordCode.SHEET_NOT_READ, subject=s.name, values=about) for s in sheets if s.name not in read]
@@ -139,8 +174,9 @@ def _join_sheets(sheets: Sequence[_Sheet], policy: ReadingPolicy) -> ChannelTabl
     for sheet in sheets:
         seconds = times[sheet.name].seconds + after[sheet.name]
         known = np.isfinite(seconds)
-        for header, cells in sheet.columns.items():
-            if header not in (sheet.clock, sheet.day):
+        clock, day = sheet.clock, sheet.day
+        for k, (header, cells) in enumerate(zip(sheet.headers, sheet.columns, strict=True)):
+            if k not in (clock, day):
                 column = parse_header(header, 0)
                 is_number = isinstance(cells, np.ndarray) and cells.dtype != object
                 holds = "" if is_number else "text or dates"
@@ -161,36 +197,105 @@ def _join_sheets(sheets: Sequence[_Sheet], policy: ReadingPolicy) -> ChannelTabl
 
 def _read_clock(sheet: _Sheet) -> Timeline:
     """The time column of a sheet in seconds. Raises DataError for one that holds a text."""
-    column = parse_header(str(sheet.clock), 0)
-    cells = sheet.columns[str(sheet.clock)]
+    clock, day = sheet.clock, sheet.day
+    assert clock is not None
+    header, cells = sheet.headers[clock], sheet.columns[clock]
+    column = parse_header(header, 0)
     if isinstance(cells, Stamps):
-        days = sheet.columns[sheet.day] if sheet.day else None
+        days = None if day is None else sheet.columns[day]
         cells = cells.on_days(days) if isinstance(days, Stamps) else cells
-        return cells.count_seconds(f"{sheet.name}.{sheet.clock}", column.unit)
+        return cells.count_seconds(f"{sheet.name}.{header}", column.unit)
     if cells.dtype == object:
-        raise DataError(f"sheet {sheet.name!r}: {describe_cells(str(sheet.clock), cells, RowLabels(), sheet.signs)}")
+        raise DataError(f"sheet {sheet.name!r}: {describe_cells(header, cells, RowLabels(), sheet.signs)}")
     return Timeline(read_conversion(column.unit, "s")(cells) if column.unit else cells)
 
 
-def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
-    """The first block of a sheet: headers, then rows until one is empty. None where there is none."""
-    rows = iter(page.iter_rows(values_only=True))
+def _read_sheet(page: Any, formulas: Any, policy: ReadingPolicy) -> _Sheet | None:
+    """The first block of a sheet: headers, then rows until one is empty. None where there is none.
+
+    ``formulas``: the same sheet with its formulas in the place of their values; None where it has none.
+    """
+    # What a sheet states of its size may be that of another one: its cells say it.
+    page.reset_dimensions()
+    rows = _read_rows(page, formulas)
     ahead = list(islice(rows, HEADER_LINES))
     place = find_table_head([list(map(_to_word, row)) for row in ahead])
     if place is None:
         return None
-    head = ahead[place.names]
-    for k in place.below:
+    head: Sequence[Any] = ahead[place.names]
+    # Of several rows of texts below the names some may describe them, in another language; those of units count.
+    units = [k for k in place.below if is_row_of_units([str(cell or "") for cell in ahead[k]])]
+    for k in units or place.below:
         head = join_units(head, ahead[k])
     following = chain(ahead[place.first + 1 :], rows)
     percents = _find_percents(page, place.first + 1, len(head))
     return _read_block(page.title, head, ahead[place.first], following, policy, percents)
 
 
+def _read_rows(page: Any, formulas: Any) -> Iterator[tuple[Any, ...]]:
+    """The values of the rows; a formula that has none stands as its text."""
+    epoch = page.parent.epoch
+    if formulas is None:
+        for row in page.iter_rows():
+            yield tuple(_read_cell(cell, epoch) for cell in row)
+        return
+    formulas.reset_dimensions()
+    for row, written in zip(page.iter_rows(), formulas.iter_rows(), strict=True):
+        yield tuple(
+            # A text of no letters is a value.
+            f"={str(formula.value).removeprefix('=')}"
+            if cell.value is None and cell.data_type == "n" and formula.data_type == "f"
+            else _read_cell(cell, epoch)
+            for cell, formula in zip(row, written, strict=True)
+        )
+
+
+# Days of a date before which it is a time of day that goes on behind midnight: nobody recorded in 1900, or in 1904.
+FIRST_DATE = 366
+# Days from the beginning of a workbook's count, the last of which is in the year 9999.
+LAST_DATE = 2_900_000
+# Microseconds to which a stamp is rounded: the first that is within what a double in days holds.
+ROUNDINGS = (1000, 100, 10)
+MICROSECONDS_A_DAY = 86400 * 10**6
+# Steps between doubles by which a stamp may be beside a round one: that of its own rounding, and of the sum that made it.
+STEPS_BESIDE = 2.0
+
+
+def _read_cell(cell: Any, epoch: datetime.datetime) -> Any:
+    """The value of a cell; a number that is shown as a date, a time of day or a length of time becomes one, to the microsecond."""
+    value = cell.value
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return value
+    shown = _read_format(cell.number_format)
+    if not shown or not abs(value) < LAST_DATE:
+        return value
+    exact = value * MICROSECONDS_A_DAY
+    beside = STEPS_BESIDE * math.ulp(value) * MICROSECONDS_A_DAY
+    rounding = next((r for r in ROUNDINGS if abs(exact - r * round(exact / r)) <= beside), 1)
+    length = datetime.timedelta(microseconds=rounding * round(exact / rounding))
+    if shown is StampKind.DURATION:
+        return length
+    if value >= FIRST_DATE:
+        return epoch + length
+    # Midnight of no day; `greybox.data.stamps` knows a later one by its year.
+    midnight = datetime.datetime(1899, 12, 31)
+    return (midnight + length).time() if 0 <= value < 1 and length.days == 0 else midnight + length
+
+
+@lru_cache(maxsize=256)
+def _read_format(text: str | None) -> StampKind | None:
+    """What a number in a cell of this format is shown as; None for a number."""
+    from openpyxl.styles.numbers import is_date_format, is_timedelta_format
+
+    if not is_date_format(text):
+        return None
+    return StampKind.DURATION if is_timedelta_format(text) else StampKind.DATE
+
+
 def _to_word(cell: Any) -> str | None:
     """A cell as `find_table_head` takes it: numbers and dates kept as text are values, whatever their marks mean."""
     text = cell.strip() if isinstance(cell, str) else ""
-    if _is_value(cell) or THOUSANDS.fullmatch(text):
+    if _is_value(cell) or THOUSANDS.fullmatch(text) or _is_formula(text):
         return None
     if is_gap(text):
         return text if text == "-" else ""
@@ -209,6 +314,10 @@ def _find_percents(page: Any, first: int, columns: int) -> set[int]:
             break
     # A sign in quotation marks or behind a backslash is only written beside the number.
     return {k for k, text in formats.items() if "%" in re.sub(r'"[^"]*"|\\.', "", text)}
+
+
+def _is_formula(text: str) -> bool:
+    return text.startswith("=") and len(text) > 1
 
 
 def _is_value(cell: Any) -> bool:
@@ -244,15 +353,18 @@ def _read_block(
     signs = find_decimal_signs(cell for column in cells.values() for cell in column if isinstance(cell, str))
     marks = {} if signs else {named[k]: read_marks(column) for k, column in cells.items()}
     findings += [f for header, shown in marks.items() for f in find_open_points(header, shown, named.values())]
-    columns: dict[str, np.ndarray | Stamps] = {}
+    headers: list[str] = []
+    columns: list[np.ndarray | Stamps] = []
     for k, column in cells.items():
         numbers, header = _to_column(column, signs), parse_header(named[k], k)
         # The number that is shown, in percent, unless the header states another unit for the one that is kept.
         if k in percents and header.unit in ("", "%") and isinstance(numbers, np.ndarray) and numbers.dtype != object:
-            columns[named[k] if header.unit else f"{named[k]} [%]"] = 100 * numbers
+            headers.append(named[k] if header.unit else f"{named[k]} [%]")
+            columns.append(100 * numbers)
         else:
-            columns[named[k]] = numbers
-    return _Sheet(title, columns, tuple(findings), signs)
+            headers.append(named[k])
+            columns.append(numbers)
+    return _Sheet(title, tuple(headers), tuple(columns), tuple(findings), signs)
 
 
 def _to_column(cells: list[Any], signs: frozenset[str]) -> np.ndarray | Stamps:
