@@ -12,6 +12,7 @@ from typing import Any
 
 from greybox.base import DataError, ModelError, nearest, to_identifiers, unit_converter
 from greybox.base.errors import is_own_bug
+from greybox.data.notation import COUNT, read_notation
 
 REAL = ("Real", "Float64", "Float32")
 
@@ -46,6 +47,8 @@ class FmuDescription:
         ``CoSimulation`` or ``ModelExchange``: how it is run.
     inputs, outputs, parameters
         Real variables; parameters are those that can be set before a run.
+    undriven
+        Inputs of other types, and arrays: no record drives them, and they stay at their start.
     """
 
     path: Path
@@ -55,6 +58,7 @@ class FmuDescription:
     inputs: tuple[FmuVariable, ...]
     outputs: tuple[FmuVariable, ...]
     parameters: tuple[FmuVariable, ...]
+    undriven: tuple[str, ...] = ()
 
 
 # Bytes that an FMU unpacks to at most.
@@ -112,7 +116,9 @@ def read_description(path: str | os.PathLike[str], outputs: Sequence[str] | None
     inputs, chosen, parameters = (tuple(_to_variable(v, next(labels)) for v in group) for group in groups)
     # With its own solver, where it brings one.
     kind = "CoSimulation" if description.coSimulation is not None else "ModelExchange"
-    return FmuDescription(file, description.modelName, str(description.fmiVersion), kind, inputs, chosen, parameters)
+    undriven = tuple(v.name for v in description.modelVariables if v.causality == "input" and v not in scalars)
+    version = str(description.fmiVersion)
+    return FmuDescription(file, description.modelName, version, kind, inputs, chosen, parameters, undriven)
 
 
 # Bounds of a variable beyond it are none: tools write the largest number there.
@@ -128,13 +134,21 @@ def _to_variable(variable: Any, label: str) -> FmuVariable:
         return value if abs(value) < FMU_FIT_ENDLESS else otherwise
 
     declared = getattr(variable, "declaredType", None)
-    unit = variable.unit or getattr(declared, "unit", None) or "1"
+
+    def state(name: str) -> Any:
+        """What the variable states, else its type."""
+        own = getattr(variable, name, None)
+        return getattr(declared, name, None) if own is None else own
+
     try:
-        unit_converter(str(unit), str(unit))
+        # Modelica writes N.m and kg.m2.
+        unit = read_notation(str(state("unit") or "1"))
+        unit_converter(unit, unit)
     except ModelError:  # of a unit that none converts, records are read as plain numbers
         unit = "1"
-    bounds = (number(variable.min, -math.inf), number(variable.max, math.inf))
+    unit = "1" if unit == COUNT else unit
+    bounds = (number(state("min"), -math.inf), number(state("max"), math.inf))
     is_initial = variable.causality in (None, "local")
     # A start that is not stated counts as zero.
     start, text = number(variable.start, 0.0), variable.description or ""
-    return FmuVariable(variable.name, label, str(unit), text, start, bounds, is_initial)
+    return FmuVariable(variable.name, label, unit, text, start, bounds, is_initial)

@@ -54,7 +54,9 @@ class FmuPlant(Printable):
     @property
     def description(self) -> str:
         """What it is, for people."""
-        return f"{self.fmu.path.name}, FMI {self.fmu.fmi_version} for {self.fmu.kind}"
+        text = f"{self.fmu.path.name}, FMI {self.fmu.fmi_version} for {self.fmu.kind}"
+        undriven = ", ".join(self.fmu.undriven)
+        return f"{text}; inputs that are no real numbers stay at their start: {undriven}" if undriven else text
 
     @cached_property
     def identity(self) -> str:

@@ -95,6 +95,34 @@ def test_inputs_run_straight_or_are_held_as_the_record_says(build, version, kind
             np.testing.assert_allclose(run["x"], x[:, 0], atol=allowed)
 
 
+def test_units_of_modelica_bounds_of_a_type_and_inputs_of_other_types_are_read(build, tmp_path):
+    def change(text):
+        kinds = '<SimpleType name="J"><Real unit="kg.m2" min="1" max="99"/></SimpleType>'
+        switch = '<ScalarVariable name="on" valueReference="9" causality="input" variability="discrete"><Boolean start="false"/>'
+        text = text.replace("<ModelVariables>", f"<TypeDefinitions>{kinds}</TypeDefinitions><ModelVariables>")
+        text = text.replace("</ModelVariables>", f"{switch}</ScalarVariable></ModelVariables>")
+        text = text.replace('<Real start="30.0" min="0"/>', '<Real start="30.0" declaredType="J"/>')
+        return text.replace('<Real start="0"/>', '<Real start="0" unit="N.m"/>').replace(
+            'start="0.0"', 'start="0.0" unit="m/s2"'
+        )
+
+    with (
+        zipfile.ZipFile(build(MASS, "2.0", "CoSimulation")) as source,
+        zipfile.ZipFile(tmp_path / "a.fmu", "w") as target,
+    ):
+        for name in source.namelist():
+            data = source.read(name)
+            target.writestr(name, change(data.decode()) if name == "modelDescription.xml" else data)
+    plant = read_fmu(tmp_path / "a.fmu")
+    (constant,) = plant.parameters
+    units = [signal.unit for signal in (*plant.inputs, *plant.outputs, constant)]
+    assert units == ["N*m", "m/s^2", "m/s^2", "kg*m^2"] and constant.bounds == (1.0, 99.0)
+    assert plant.description.endswith("stay at their start: on")
+    table = {"time [s]": TIME, "F [mN*m]": 1000 * np.sin(TIME), "x [mm/s2]": 1000 * np.cos(TIME)}
+    record = gb.read_csv(table, plant.model)
+    np.testing.assert_allclose([record.inputs["F"][1], record.outputs["x"][0]], [np.sin(TIME[1]), 1.0])
+
+
 @pytest.mark.parametrize(("version", "kind"), CROSSED)
 def test_a_perturbed_constant_returns_within_its_interval(build, version, kind):
     plant = read_fmu(build(VAN_DER_POL, version, kind))
