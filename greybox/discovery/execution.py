@@ -236,6 +236,9 @@ class RefitProblem(Protocol):
 
 # Expected seconds of refits from which starting processes pays.
 PARALLEL_SECONDS = 20.0
+# Seconds that the answer may be fitted on for where the search took less: a model of many heights that follows nothing, with steps that
+# become ever smaller, would go on for a thousand times as long.
+FINISHING_SECONDS = 60.0
 
 
 @dataclass
@@ -269,6 +272,7 @@ class RefitExecutor:
     finished: int = field(init=False, default=0)
     skipped: int = field(init=False, default=0)
     seconds: list[float] = field(init=False, default_factory=list)
+    began: float = field(init=False, default_factory=time.perf_counter)
     _pools: ExitStack = field(init=False, default_factory=ExitStack)
 
     def run(self, problem: RefitProblem, jobs: Sequence[RefitJob]) -> list[Any]:
@@ -310,6 +314,11 @@ class RefitExecutor:
     def is_late(self) -> bool:
         """Whether no refit may begin any more."""
         return time.perf_counter() >= self.deadline
+
+    def limit_finishing(self) -> float:
+        """When a fit of the answer that begins now has to be done: it may take as long as the search took, and no time limit passes."""
+        now = time.perf_counter()
+        return min(self.last_deadline, now + max(FINISHING_SECONDS, now - self.began))
 
     def release_reserve(self) -> None:
         """From now on refits may begin until the last deadline."""

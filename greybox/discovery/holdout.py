@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -20,11 +21,13 @@ from greybox.discovery.execution import SearchStage
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate, with_initial_states
 from greybox.estimation.errors import errors_by_block
 from greybox.estimation.fit import fit as estimate
+from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import FitNoise, Validation
 from greybox.estimation.transcription.decision_vector import DecisionVector
+from greybox.estimation.transcription.problem import FitProgress
 from greybox.estimation.validate import follow_records, validate
 from greybox.model.model import Model
 from greybox.simulation.plant import PlantModel
@@ -313,7 +316,7 @@ class RefitComparison:
     is_settled
         Whether another fit ends there too.
     is_late
-        Whether the time limit left no time for another one.
+        Whether there was no time for another one.
     """
 
     fit: Fit
@@ -352,8 +355,8 @@ def finish_fit(
     """``fit`` as a fit of one's own of the same model ends, validated; as it is where nobody asks for it.
 
     The model that a search writes holds these constants. Whoever fits it gets what the search reports, because the search has done just
-    that, until another fit changed nothing; where none of them stands still, what the last one changed is told, and where the time limit
-    leaves no time for one, that is.
+    that, until another fit changed nothing; where none of them stands still, what the last one changed is told, and where there is no
+    time for one, that is.
     """
     user = problem.user_settings
     if user is None:
@@ -361,11 +364,19 @@ def finish_fit(
     best = RefitComparison(fit, is_settled=False, is_late=True)
     # It begins at the answer: that it stands there is no trouble for which other starts would have to be searched from.
     options = replace(user.options, other_starts=0, exchange=False)
-    runs = 0
+    runs, end = 0, problem.executor.limit_finishing()
+
+    def is_over(_: FitProgress) -> bool:
+        return time.perf_counter() >= end
+
     for made in range(most):
         if problem.executor.is_late:
             break
-        again = estimate(fit.model, problem.experiments, noise=user.noise, quiet=user.quiet, options=options)
+        again = estimate(
+            fit.model, problem.experiments, noise=user.noise, quiet=user.quiet, options=options, report=is_over
+        )
+        if again.solver.status is TerminationStatus.INTERRUPTED and time.perf_counter() >= end:
+            break
         # The constants of a fit that did not end are no better than those where it began.
         if fit.success and not again.success:
             return compare_with_refit(fit, again)

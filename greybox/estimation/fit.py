@@ -135,7 +135,7 @@ def fit(
     options
         Discretisation, transcription, robust loss and more.
     report
-        Called with a `FitProgress` as the fit goes on.
+        Called with a `FitProgress` as the fit goes on; where it returns True the fit ends, as one that was interrupted.
     raise_on_failure
         Raise FitError if the fit does not succeed, instead of returning a fit whose ``success`` is False.
 

@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import greybox.discovery.execution as execution
 import greybox.discovery.holdout as holdout
 from greybox.base.errors import FitError
-from greybox.discovery.execution import FailureLog, SearchStage
+from greybox.discovery.execution import FailureLog, RefitExecutor, SearchStage
 from greybox.discovery.holdout import (
     HoldoutError,
     HoldoutScores,
@@ -18,6 +19,7 @@ from greybox.discovery.holdout import (
     measure_structure,
     worst_output,
 )
+from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result_parts import Misfit, Trace, Validation
 from tests.support.fake_candidates import candidate
@@ -152,13 +154,13 @@ class RecordsThatJudge(ValidationSet):
         return run
 
 
-def finish(monkeypatch, first, *ends, is_late=False):
+def finish(monkeypatch, first, *ends, is_late=False, end=np.inf):
     """`finish_fit` of ``first``, where fits that begin there end at ``ends``, one after the other; how many were made."""
     rest = list(ends)
     monkeypatch.setattr(holdout, "estimate", lambda *_, **__: rest.pop(0))
     problem = SimpleNamespace(
         user_settings=SimpleNamespace(noise={}, quiet=(), options=FitOptions()),
-        executor=SimpleNamespace(is_late=is_late),
+        executor=SimpleNamespace(is_late=is_late, limit_finishing=lambda: end),
         experiments=(),
     )
     validation = RecordsThatJudge(())
@@ -215,3 +217,24 @@ def test_where_the_time_is_over_it_is_said_that_nobody_tried(monkeypatch):
     finished, made = finish(monkeypatch, EndedFit(1.0), EndedFit(0.9), is_late=True)
     assert made == 0 and finished.fit.error == 1.0
     assert finished.is_late and not finished.is_settled and not finished.errors
+
+
+def test_a_fit_that_its_time_ended_changes_nothing_and_is_told(monkeypatch):
+    stopped = EndedFit(0.5, status=TerminationStatus.INTERRUPTED)
+    finished, made = finish(monkeypatch, EndedFit(1.0), stopped, end=0.0)
+    assert made == 1 and finished.fit.error == 1.0
+    assert finished.is_late and not finished.is_settled and not finished.errors
+    # What a fit before it changed is known.
+    finished, made = finish(monkeypatch, EndedFit(1.0), EndedFit(0.9), stopped, end=0.0)
+    assert made == 2 and not finished.is_late and [e["after"] for e in finished.errors] == [0.9]
+
+
+def test_finishing_takes_as_long_as_the_search_and_passes_no_limit(monkeypatch):
+    seconds = {"now": 110.0}
+    monkeypatch.setattr(execution.time, "perf_counter", lambda: seconds["now"])
+    quick, limited = RefitExecutor(), RefitExecutor(last_deadline=190.0)
+    quick.began = limited.began = 100.0
+    assert quick.limit_finishing() == 110.0 + execution.FINISHING_SECONDS
+    seconds["now"] = 180.0
+    assert quick.limit_finishing() == 260.0
+    assert limited.limit_finishing() == 190.0

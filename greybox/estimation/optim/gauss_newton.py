@@ -140,7 +140,10 @@ def run_gradient_sampling(
 
 def _evaluate(search: Minimisation, z: np.ndarray, low: np.ndarray, high: np.ndarray) -> QuadraticModel:
     search.shortenings = 0
-    return search(np.clip(z, low, high))
+    value = search(np.clip(z, low, high))
+    # A round has twice as many points as there are unknowns: of a stiff model with many they take minutes.
+    search.report_progress()
+    return value
 
 
 # The largest gradient has size one. A convex combination as short as this is rounding, whose direction says nothing and is another one
@@ -153,7 +156,7 @@ def _find_descent_direction(
 ) -> np.ndarray | None:
     """Minus the shortest convex combination of the gradients around the best point, along the axes, of length one.
 
-    None where the gradients cancel: within this radius no direction leads downhill.
+    None where the gradients cancel: within this radius no direction leads downhill. And where the search is to stop.
     """
     from scipy.optimize import lsq_linear, nnls  # slow to import, and a smooth cost does not need it
 
@@ -162,6 +165,8 @@ def _find_descent_direction(
     # depends on the metric.
     gradients = [axes @ search.best_value.gradient]  # type: ignore[union-attr]
     for step in (*axes, *-axes):
+        if search.stop:
+            return None
         value = _evaluate(search, centre + step, low, high)
         with np.errstate(over="ignore", invalid="ignore"):  # of a run about to overflow
             slope = axes @ value.gradient

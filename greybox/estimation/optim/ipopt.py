@@ -181,7 +181,7 @@ def _solution_sparsity(name: str, n: int) -> ca.Sparsity:
 
 
 class _IterationMonitor(ca.Callback):
-    """Reports each iteration of `solve_sparse` and ends it after Ctrl-C."""
+    """Reports each iteration of `solve_sparse`, and ends it after Ctrl-C or where the report asks for it."""
 
     def __init__(self, n: int, constraints: int, scale: float, progress: IterationCallback | None) -> None:
         ca.Callback.__init__(self)
@@ -200,8 +200,8 @@ class _IterationMonitor(ca.Callback):
         return ca.Sparsity.dense(size, 1) if size else ca.Sparsity(0, 0)
 
     def eval(self, arg: list[ca.DM]) -> list[ca.DM]:
-        if self.progress:
-            self.progress(self.count, float(arg[1]) * self.scale)
+        if self.progress and self.progress(self.count, float(arg[1]) * self.scale):
+            self.stop = True
         self.count += 1
         return [ca.DM(1 if self.stop else 0)]
 

@@ -185,8 +185,8 @@ class MinimisationResult:
     """Which solvers ran, in their order: "IPOPT, then Gauss-Newton"; empty where the start was the end."""
 
 
-IterationCallback = Callable[[int, float], object]
-"""``(iteration, cost)``, called after every iteration."""
+IterationCallback = Callable[[int, float], bool | None]
+"""``(iteration, cost)``, called after every iteration; one that returns True ends the search there, as Ctrl-C does."""
 
 TerminationTest = Callable[[np.ndarray, Any], TerminationStatus | None]
 """``(z, value)`` of the best point so far, ``value`` being what the minimised function returned there; a status ends the search."""
@@ -365,10 +365,14 @@ class Minimisation:
         self.predicts_well = before - self.best_cost >= GOOD_SHARE * predicted
         return self.predicts_well
 
+    def report_progress(self) -> None:
+        """Tell how far the search is; whoever is told may ask it to stop."""
+        if self.progress and self.progress(self.iteration, self.best_cost):
+            self.stop = True
+
     def finish_iteration(self) -> bool:
         """Report the progress after an iteration; whether to stop."""
         self.starts_at_best = False
-        if self.progress:
-            self.progress(self.iteration, self.best_cost)
+        self.report_progress()
         self.iteration += 1
         return self.stop or self.stalled or self.error is not None or self.test_termination()

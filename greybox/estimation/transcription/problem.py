@@ -194,7 +194,8 @@ class FitProgress:
     noise_ratio: float
 
 
-FitProgressCallback = Callable[[FitProgress], None]
+FitProgressCallback = Callable[[FitProgress], bool | None]
+"""Called after each iteration of a fit; one that returns True ends the fit there, as one that was interrupted."""
 
 
 class ProgressMonitor:
@@ -214,8 +215,10 @@ class ProgressMonitor:
 
     def __call__(self, iteration: int, cost: float) -> bool:
         """Report where the search is; whether to end it."""
-        if self.report:
-            self.report(FitProgress(self.stage, self.stages, iteration, float(np.sqrt(cost / self.count))))
+        if self.report and self.report(
+            FitProgress(self.stage, self.stages, iteration, float(np.sqrt(cost / self.count)))
+        ):
+            self.stop = True
         return self.stop
 
 

@@ -137,8 +137,8 @@ def _to_variable(variable: Any, label: str) -> FmuVariable:
 
     def state(name: str) -> Any:
         """What the variable states, else its type."""
-        own = getattr(variable, name, None)
-        return getattr(declared, name, None) if own is None else own
+        of_variable = getattr(variable, name, None)
+        return getattr(declared, name, None) if of_variable is None else of_variable
 
     try:
         # Modelica writes N.m and kg.m2.

@@ -519,8 +519,8 @@ def _refit_elsewhere(finding: Finding) -> str:
     # Result files of before have no such key: nothing was told there where the time was over.
     if finding.values.get("is_late") and not (errors or constants):
         return (
-            f"{finding.subject}: the time limit left no time to fit the answer once more from where it ended, so nobody knows whether its"
-            " constants have settled. Fit the written model, or give the search more time."
+            f"{finding.subject}: a fit that begins where the search ended was not done by the time limit, or within as long as the search"
+            " took, so nobody knows whether the constants have settled. Fit the written model."
         )
     if not (errors or constants):
         return (

@@ -283,6 +283,35 @@ def test_an_interrupt_in_the_last_iteration_is_heard(method):
     assert result.status is TerminationStatus.INTERRUPTED
 
 
+@pytest.mark.parametrize("method", list(MinimisationMethod))
+def test_whoever_is_told_of_an_iteration_may_end_the_search_there(method):
+    result = minimise(
+        curved, np.array([-1.2, 1.0]), *free(2), method=method, progress=lambda iteration, _: iteration >= 2
+    )
+    assert result.status is TerminationStatus.INTERRUPTED
+    assert result.iterations <= 4 and result.cost > 1e-3
+
+
+def test_a_search_at_a_kink_ends_between_two_of_its_many_points():
+    """Of forty unknowns a round of gradient sampling takes eighty points, each as dear as a run of the model."""
+
+    def folded(z):
+        evaluated.append(z)
+        a, b = z[:2]
+        slope = 2 * (z - 1)
+        slope[:2] += 10 * np.sign(a - b) * np.array([1, -1])
+        return QuadraticModel(float(1 + 10 * abs(a - b) + ((z - 1) ** 2).sum()), slope, 2 * np.eye(len(z)))
+
+    evaluated, start = [], np.r_[2.0, -1.0, np.zeros(38)]
+    assert minimise(folded, start, *free(40)).status is TerminationStatus.KINK
+    # Half of the points of the first round of sampling are left out where the search is told to end there.
+    enough = len(evaluated) // 3
+    evaluated.clear()
+    result = minimise(folded, start, *free(40), progress=lambda *_: len(evaluated) >= enough)
+    assert result.status is TerminationStatus.INTERRUPTED
+    assert enough <= len(evaluated) < enough + 10
+
+
 def test_damped_steps_go_no_farther_than_they_reach():
     """A slope that dies away along a logarithm promises that a step without end gains what one of any length does."""
     tried = []

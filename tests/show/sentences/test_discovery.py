@@ -233,8 +233,8 @@ FINDINGS = [
     (
         Code.REFIT_ELSEWHERE,
         *("rotor", {"status": "", "errors": [], "constants": {}, "is_late": True}),
-        "rotor: the time limit left no time to fit the answer once more from where it ended, so nobody knows whether its constants have"
-        " settled. Fit the written model, or give the search more time.",
+        "rotor: a fit that begins where the search ended was not done by the time limit, or within as long as the search took, so nobody"
+        " knows whether the constants have settled. Fit the written model.",
     ),
     (
         Code.TEST_ERROR,
