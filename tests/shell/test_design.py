@@ -32,7 +32,7 @@ def run(*arguments: str):
     return CliRunner().invoke(app, ["design", *arguments])
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_model_a_fit_and_a_simulation_of_the_input(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Refines the best two inputs, not six: a third of the time.
     monkeypatch.setitem(gb.design.__kwdefaults__, "policy", replace(DESIGN_POLICY, starts=2))

@@ -127,7 +127,7 @@ def test_an_executor_from_outside_that_breaks_keeps_what_was_finished():
     assert all("worker died" in r.error for r in results[1:])
 
 
-@pytest.mark.rest
+@pytest.mark.slow
 def test_a_model_of_lambdas_is_fitted_elsewhere_to_the_same_bit():
     model = lag()
     rng = np.random.default_rng(1)

@@ -254,6 +254,7 @@ def test_friction_is_added_with_a_click_and_fitted(page) -> None:
     settled(page)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="the lock that holds the search is one of POSIX")
 def test_discover_can_be_stopped_and_finds_the_friction(page, served) -> None:
     _, folder = served
