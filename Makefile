@@ -36,7 +36,7 @@ test test-rest docs: export OPENBLAS_NUM_THREADS = 1
 # Hundreds of processes that tests start would each compile the sources anew where the environment forbids to keep what was compiled.
 unexport PYTHONDONTWRITEBYTECODE
 # A file's tests share what is dear (a fit, a search, a page in the browser that each goes on with): one worker has them all.
-test: $(VENV)/.installed-dev ## run the everyday tests, in five minutes (the studies: make test ARGS="-m slow")
+test: $(VENV)/.installed-dev ## run the everyday tests, in six minutes (the studies: make test ARGS="-m slow")
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
 test-rest: $(VENV)/.installed-dev ## run the others: whole searches, browser, compilers, clusters, pages that are run

@@ -148,7 +148,7 @@ def _slowness() -> float:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
-    """Fail an everyday test that is none, in a whole run: thousands of them must run in five minutes."""
+    """Fail an everyday test that is none, in a whole run: thousands of them must run in minutes."""
     began = time.thread_time()
     yield
     took = time.thread_time() - began

@@ -89,9 +89,7 @@ def test_constants_of_each_experiment_are_those_of_a_fit_of_it_alone(path):
 
 @pytest.mark.crossed(3)
 @pytest.mark.rest
-@pytest.mark.parametrize(
-    "path", [pytest.param(p, marks=[pytest.mark.slow] * p.endswith("process noise")) for p in PATHS]
-)
+@every_path
 def test_profile_and_bootstrap_meet_the_interval(path):
     found = found_on(path)
     again = bootstrap(found, np.random.default_rng(1), replicates=200)

@@ -71,7 +71,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "hold": {},
     "mean": {},
 }
-SEVERAL_SECONDS = ("collocation", "segments")
 HOLDS = {"hold": "first", "mean": "mean"}
 REFUSED = {
     ("collocation", "method"),
@@ -115,7 +114,7 @@ def constants(path: str, option: str = "") -> tuple[float | str, ...]:
 
 
 @pytest.mark.crossed(3)
-@pytest.mark.parametrize("path", [pytest.param(p, marks=[pytest.mark.slow] * (p in SEVERAL_SECONDS)) for p in PATHS])
+@pytest.mark.parametrize("path", PATHS)
 def test_the_rows_of_a_validation_record_and_the_samples_ahead_count_everywhere(path: str) -> None:
     model, base = PATHS[path]
     (fitted, judge), options = records("zero"), FitOptions(**base)
@@ -139,15 +138,8 @@ def test_the_rows_of_a_validation_record_and_the_samples_ahead_count_everywhere(
 
 
 @pytest.mark.crossed(3)
-@pytest.mark.parametrize(
-    ("path", "option"),
-    [
-        # Collocation solves for every state at every sample: it meets one option with each change, and all of them at night.
-        pytest.param(p, o, marks=[pytest.mark.slow] * (p == "collocation" and o != "loss" and (p, o) not in REFUSED))
-        for p in PATHS
-        for o in OPTIONS
-    ],
-)
+@pytest.mark.parametrize("option", OPTIONS)
+@pytest.mark.parametrize("path", PATHS)
 def test_an_option_works_or_is_refused(path: str, option: str) -> None:
     if PATHS[path][1].items() & OPTIONS[option].items():
         return

@@ -21,8 +21,8 @@ PLANTS = {
 }
 STIFF = ("Robertson", "HIRES")
 EVERYDAY = ("hardening, few rows", "two wells, few rows")
-# Each plant meets each method, and each of both meets every pair of a transcription and a number of substeps. More of them prove nothing
-# new: the rule looks at the constants and the step with which a search has ended.
+# At night each plant meets each method, and each of both meets every pair of a transcription and a number of substeps. More of them
+# prove nothing new: the rule looks at the constants and the step with which a search has ended.
 # Segments of these take longest.
 AT_NIGHT = (("hardening", "multiple"), ("Robertson", "multiple"))
 WAYS = [("single", 0), ("multiple", 1), ("single", 1), ("multiple", 0)]

@@ -242,7 +242,7 @@ def _read_rows(page: Any, formulas: Any) -> Iterator[tuple[Any, ...]]:
     formulas.reset_dimensions()
     for row, written in zip(page.iter_rows(), formulas.iter_rows(), strict=True):
         yield tuple(
-            # A text of no letters is a value.
+            # Its sign of equality tells it from a header and from a text.
             f"={str(formula.value).removeprefix('=')}"
             if cell.value is None and cell.data_type == "n" and formula.data_type == "f"
             else _read_cell(cell, epoch)
