@@ -163,11 +163,11 @@ class Job:
 def _run(connection: Connection, kind: JobKind, payload: bytes) -> None:
     """The process: compute, tell, end."""
     stop = threading.Event()
-    # Requests are heard beside the computation, which does not return until it is done.
-    threading.Thread(target=_hear, args=(connection, stop, kind is JobKind.DISCOVER), daemon=True).start()
     news: JobNews
     content: bytes | str | None
     try:
+        # Requests are heard beside the computation, which does not return until it is done. One may come as soon as this thread listens.
+        threading.Thread(target=_hear, args=(connection, stop, kind is JobKind.DISCOVER), daemon=True).start()
         arguments = unpack(payload)
         compute = _fit if kind is JobKind.FIT else _discover
         news, content = JobNews.DONE, pack(compute(connection, stop, **arguments))
