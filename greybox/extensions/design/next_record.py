@@ -11,7 +11,7 @@ import numpy as np
 from greybox.base import TINY, DataError, Finding, FitError, ModelError, Severity, nearest
 from greybox.data.experiment import Experiment
 from greybox.data.input_course import Hold
-from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
+from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE, BoundDirection
 from greybox.data.signals import SignalLimit
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.problem import DiscoveryProblem
@@ -118,6 +118,16 @@ def fit_rival(plain: Fit, text: str) -> Model:
     return candidate.model
 
 
+def expect_noise(known: Fit) -> dict[str, float]:
+    """Standard deviations of the noise that the next record will have, by output.
+
+    A ceiling that the records of a fit have is no level: the noise is part of the error, which often lies far below it.
+    """
+    levels = {name: float(std) for name, std in known.noise.std.items()}
+    errors = {name: m.rmse for name, m in known.misfit.items() if m.direction is BoundDirection.AT_MOST}
+    return levels | {name: min(levels[name], rmse) for name, rmse in errors.items() if name in levels and rmse > 0}
+
+
 def fit_explanation(plain: Fit, text: str) -> Fit:
     """The plain model with effects, ``a+b``, as a fit to the records of its fit. Raises ModelError as `fit_rival` does."""
     model = fit_rival(plain, text)
@@ -209,7 +219,7 @@ def design(
     if best is not None:
         earlier = tuple(t.experiment for t in best.traces)
         options = options or FitOptions.from_data(best.provenance.options)
-        known_noise = {name: float(std) for name, std in best.noise.std.items()}
+        known_noise = expect_noise(best)
         stds = {name: float(e.std) for name, e in best.parameters.items() if e.std is not None and not e.fixed}
         # A model that does not follow the records does not foresee where the rig goes: limits that it keeps are none of the rig.
         faults = [{"fault": str(f)} for f in best.findings if f.severity is Severity.ERROR]

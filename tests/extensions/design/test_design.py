@@ -12,7 +12,7 @@ import pytest
 import greybox as gb
 from greybox.base.errors import DataError, GreyboxError, ModelError
 from greybox.base.json_shape import to_json_data
-from greybox.data.noise.noise_model import DETECTION_RATIO
+from greybox.data.noise.noise_model import DETECTION_RATIO, BoundDirection
 from greybox.data.signals import SignalLimit
 from greybox.extensions.design.adjoint import SensitivityRun
 from greybox.extensions.design.goals import HiddenEffect, make_detection, make_discrimination, make_precision
@@ -96,6 +96,19 @@ def test_information_of_earlier_records_is_added() -> None:
     assert after.experiment.rows == 160 and after.experiment.sampling_time == pytest.approx(0.05)
     chosen = gb.design(fit, limits={"u": (-1, 1)}, constants=["d"], policy=QUICK)
     assert chosen.predicted["d"].std_after <= 1.02 * after.predicted["d"].std_after
+
+
+def test_a_ceiling_of_the_noise_widens_nothing() -> None:
+    """Where the records have no more than a ceiling of the noise, a fit whose error is below it tells more."""
+    time = 0.1 * np.arange(200)
+    steps = np.repeat(np.random.default_rng(3).choice([-1.0, 1.0], 100), 2)
+    record = gb.simulate(PLANT, {"time": time, "u": steps}).record({"x": 1e-4}, np.random.default_rng(1))
+    fit = gb.fit(PLANT, record, options=REST)
+    assert fit.misfit["x"].direction is BoundDirection.AT_MOST and fit.noise.std["x"] > 2e-4
+    plan = gb.design(fit, limits={"u": (-1, 1)}, policy=QUICK)
+    for name, constant in plan.predicted.items():
+        white = fit.parameters[name].std / fit.uncertainty.inflation.get(name, 1.0)
+        assert constant.std_before == pytest.approx(white, rel=0.05)
 
 
 def test_a_model_that_falls_short_is_known_as_its_fit_says_and_no_better() -> None:
