@@ -209,8 +209,12 @@ def confirm_model(study: Study, named_model: str | None = None) -> Study:
         If the file names a model file or a plant that runs code and is new or edited, or lies in a project other than that of the working
         folder, and the user named no model; if a model is named twice.
     """
+    from greybox.shell.inputs import find_result
     from greybox.shell.project import is_remembered, project_root, runs_code
 
+    # The folder of a fit stands for its fit.json.
+    if result := find_result(study.source):
+        study = study.but(source=str(result))
     # A command that starts from a result has an option for its model; where its source is a model, that option names the source.
     holder = "model"
     if study.source and not study.source.endswith(".json"):

@@ -141,7 +141,7 @@ class Study:
     # A table: an option is a row or two.
     # fmt: off
     model = Option(kinds.ModelName(), "MODEL", "model", _MODEL, completion.models, required=True)
-    source = Option(kinds.ModelName(), "FIT", "source", "The fit.json that greybox fit has written.", required=True)
+    source = Option(kinds.ModelName(), "FIT", "source", "The fit.json that greybox fit has written, or its folder.", required=True)
     estimation = Option(kinds.Files(), "DATA", "records.estimation", _RECORDS)
     input = Option(kinds.File(), "INPUT", "input", "File with time and the model's inputs; or select a test signal.")
     effects = Option(kinds.Names(split=True), "--effect NAME", "effects",

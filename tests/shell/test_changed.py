@@ -60,6 +60,17 @@ def test_today_in_text_as_json_and_as_a_page(folder: Path) -> None:
     assert json.loads(again.stdout)["verdict"] == "unchanged"
 
 
+@pytest.mark.parametrize("at_rest", [False, True])
+def test_the_folder_of_a_fit_is_the_fit_and_what_follows_begins_as_it_did(folder: Path, at_rest: bool) -> None:
+    then, today = folder / "then.csv", folder / "days/day 10.csv"
+    record = gb.read_csv(then, silverbox)
+    gb.fit(silverbox, record, noise=NOISE, options=gb.FitOptions(at_rest=at_rest)).save(Path("was/fit.json"))
+    done = run("was", str(today), "--validate", str(today), "--no-report")
+    assert done.exit_code == 0, done.output
+    assert ("--at-rest" in done.stdout.partition("next: greybox fit silverbox")[2]) is at_rest
+    assert "cannot validate the model" in done.stderr
+
+
 def test_a_folder_over_time(folder: Path) -> None:
     done = run(str(folder / "fit.json"), str(folder / "days"), "--chart", "--output", "chart", "--json")
     assert done.exit_code == 0, done.output
@@ -92,6 +103,7 @@ BAD = [
     (["{fit}", "{day}", "--skip", "5"], "--skip 5 has no effect"),
     (["{fit}", "{day}", "--model", "micro_actuator"], "belongs to the model silverbox"),
     (["{fit}", "{fit}"], "fit.json"),
+    (["{day}", "{fit}"], "fit.json: a fit, and no record; FIT is the first argument"),
 ]
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from greybox.base.errors import GreyboxError
 from greybox.shell import inputs, options
 from greybox.shell.progress import show_search_progress
 from greybox.shell.study import Answer, Command, Excludes, Idle, NextCommand, Option, Study
@@ -41,6 +42,9 @@ def changed(study: ChangeStudy) -> Answer:
 
     Exit code 0: there is a verdict. 2: bad input, nothing was written.
     """
+    for path in study.estimation:
+        if inputs.find_result(str(path)):
+            raise GreyboxError(f"{path}: a fit, and no record; FIT is the first argument, NEW what follows")
     known = inputs.load_fit_with_model(Path(study.source), study.model)
     folder = inputs.result_folder(study, known.model.name)
     result = _compare(known, study)
@@ -56,6 +60,7 @@ def changed(study: ChangeStudy) -> Answer:
 
 def _next(known: Fit, result: ChangeDetection, study: ChangeStudy) -> NextCommand | str:
     """What has changed is fitted anew; records that do not tell are followed by a better one."""
+    from greybox.estimation.options import FitOptions
     from greybox.extensions.changes.result import ChangeVerdict
 
     if result.verdict is ChangeVerdict.CANNOT_TELL:
@@ -64,15 +69,19 @@ def _next(known: Fit, result: ChangeDetection, study: ChangeStudy) -> NextComman
         return ""
     fixed = [f"--fix={name}={e.value:.6g}" for name, e in known.parameters.items() if e.fixed]
     effects = [f"--effect={e.name}" for e in known.model.effects]
+    # The new fit begins as the old one did.
+    at_rest = ["--at-rest"] if FitOptions.from_data(known.provenance.options).at_rest else []
     return study.then(
-        "fit", study.model or known.model.name, *study.estimation, *effects, *fixed, holds=options.IN_RESULT
+        "fit",
+        *(study.model or known.model.name, *study.estimation, *effects, *fixed, *at_rest),
+        holds=options.IN_RESULT,
     )
 
 
 def _compare(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.base.parallel.jobs import open_workers
     from greybox.data.file_kinds import list_record_files
-    from greybox.data.identity import refuse_repeated
+    from greybox.data.identity import mark_fitted, refuse_repeated
     from greybox.extensions.changes.detect import detect_changes
     from greybox.extensions.changes.survey import chart_changes, survey_population
 
@@ -80,6 +89,7 @@ def _compare(known: Fit, study: ChangeStudy) -> ChangeDetection:
     records = [read_like(known, list_record_files(group), study) for group in groups]
     refuse_repeated(record for each in records for record in each)
     validation = read_like(known, study.validation, study) if study.validation else ()
+    validation = mark_fitted(validation, [record for each in records for record in each])
     inputs.check_skip(study, validation)
     inputs.print_record_notes(*records, validation, loss=known.robust.name or "squares")
     if study.population:
@@ -112,7 +122,7 @@ CHANGED = Command(
     changed,
     "Tell what has changed in a machine since its fit.",
     (
-        Study.source.but(help="fit.json of the machine as it was."),
+        Study.source.but(help="fit.json of the machine as it was, or its folder."),
         Study.estimation.but(
             usage="NEW", help="Records of today, or folders of records: CSV, MAT, MF4, TDMS and others.", required=True
         ),
