@@ -330,7 +330,9 @@ class _AddedSignal:
         """At any samples."""
         models = (candidate.model, candidate.model.without(name))
         with_it, plain = (_evaluate_equations(model, states, inputs) for model in models)
-        return cls(states, inputs, (with_it - plain) / np.maximum(np.abs(with_it).max(axis=0), TINY))
+        # Rates along a run that went astray are beyond all numbers: what differs there is no function of anything.
+        with np.errstate(invalid="ignore"):
+            return cls(states, inputs, (with_it - plain) / np.maximum(np.abs(with_it).max(axis=0), TINY))
 
 
 def _scatter(z: np.ndarray, values: np.ndarray) -> float:

@@ -60,10 +60,9 @@ Records = Experiment | Frame | Sequence[Any]
 SEARCH_SHARE = 0.6
 
 
-# A plain model, or a candidate, whose run goes astray has errors beyond all numbers, and differences of such: whoever weighs them looks
-# whether they are finite.
+# A plain model, or a candidate, whose run goes astray has errors beyond all numbers: whoever weighs them looks whether they are finite.
 @explain_unknown
-@np.errstate(over="ignore", invalid="ignore")
+@np.errstate(over="ignore")
 def discover(
     model: Model | Plant,
     estimation: Records,

@@ -7,6 +7,7 @@ found, because a correlated residual makes every likelihood ratio of white noise
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -75,7 +76,9 @@ def excess_autocorrelation(candidate: FittedCandidate, lags: int) -> float:
         values = white[np.isfinite(white)]
         values = values - values.mean()
         energy = float(values @ values)
-        correlations = [float(values[k:] @ values[:-k]) / energy for k in range(1, lags + 1)] if energy > 0 else []
+        # A run that went astray has no correlations: its energy is beyond all numbers.
+        lagged = range(1, lags + 1) if 0 < energy < math.inf else ()
+        correlations = [float(values[k:] @ values[:-k]) / energy for k in lagged]
         worst = max(worst, sum(r * r for r in correlations) - 2 * lags / max(len(values), 1))
     return worst
 

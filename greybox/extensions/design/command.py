@@ -289,7 +289,7 @@ DESIGN = Command(
     (
         Study.source.but(
             usage="SOURCE",
-            help="fit.json, discovery.json, or a model (its name or file) of which nothing was measured yet.",
+            help="fit.json or its folder, discovery.json, or a model (its name or file) of which nothing was measured yet.",
         ),
         Study.estimation.but(help="Records taken so far: needed with discovery.json, fitted with a model."),
         *(*RIG, MODEL_VALUES, OWN.goal, OWN.criterion, OWN.counted, OWN.rivals, OWN.sensors),
